@@ -1,0 +1,1 @@
+"""The face of DualMS: HTTP service, command line and Python client."""
