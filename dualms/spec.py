@@ -250,7 +250,9 @@ class EvaluationSpec(Model):
 class Spec(Model):
     """Everything that a design depends on besides the domain file."""
 
-    units: Unit | None = Field(None, description="Length unit; required where the file carries none (all but GLB, 3MF).")
+    units: Unit | None = Field(
+        None, description="Length unit; required where the file carries none (all but GLB, 3MF)."
+    )
     fluids: FluidsSpec
     flow: FlowSpec = Field(default_factory=PotentialFlow)
     graph: GraphSpec = Field(default_factory=GraphSpec)

@@ -1,0 +1,236 @@
+"""Ports: parts of the domain's boundary where a fluid enters or leaves, resolved to points on the boundary.
+
+A port is given by geometry (disk, box, facet) and resolved to quasi-uniform samples of the boundary part that it
+covers, so that every later stage, whatever its grid, asks the same question: how far is the nearest sample?
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dualms.errors import InvalidSpec, OverlappingPorts, PortNotOnBoundary
+from dualms.mesh import DomainMesh
+from dualms.spec import BoxPort, DiskPort, FacetPort, FluidsSpec, PortSpec, Unit
+
+Array = NDArray[np.float64]
+
+SAMPLES_ACROSS = 400  # sample spacing over the domain's longest side; finer than the finest default grid
+
+
+@dataclass(frozen=True)
+class Port:
+    """One opening of the boundary.
+
+    Parameters
+    ----------
+    name
+        ``hot-inlet-0`` and so on: fluid, role, index in the specification.
+    fluid
+        1 hot, -1 cold.
+    inlet
+        Whether the fluid enters here.
+    shared
+        Whether the other fluid lists the same part of the boundary: then the sign of the field divides it.
+    samples
+        (S, 3) float64, quasi-uniform on the covered boundary.
+    center, normal
+        (3,) mean point, and mean outward unit normal.
+    area
+        Covered area.
+    triangles
+        (K,) int64 faces of the domain mesh that the port touches.
+    """
+
+    name: str
+    fluid: int
+    inlet: bool
+    shared: bool
+    samples: Array
+    center: Array
+    normal: Array
+    area: float
+    triangles: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        if self.fluid not in (1, -1) or self.samples.ndim != 2 or len(self.samples) == 0:
+            raise ValueError("a port belongs to fluid 1 or -1 and has samples (S, 3)")
+
+    @property
+    def radius(self) -> float:
+        """Radius of the disk of the same area."""
+        return float(np.sqrt(self.area / np.pi))
+
+    def mapped(self, offset: Array, scale: float) -> Port:
+        """The port with points moved by ``-offset`` and divided by ``scale``."""
+        return replace(
+            self,
+            samples=(self.samples - offset) / scale,
+            center=(self.center - offset) / scale,
+            area=self.area / scale**2,
+        )
+
+
+def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Port, ...]:
+    """Find the boundary part of every port, in metres.
+
+    Parameters
+    ----------
+    mesh
+        The envelope.
+    fluids
+        The specification's ports, in ``units``.
+    units
+        Unit of the specification's lengths.
+
+    Returns
+    -------
+    tuple of Port
+        Hot before cold, inlets before outlets.
+
+    Raises
+    ------
+    PortNotOnBoundary
+        If a port covers no part of the boundary.
+    OverlappingPorts
+        If two ports cover the same place and are not one shared opening.
+    InvalidSpec
+        If a facet's index is out of range.
+    """
+    listed = [
+        (f"{fluid}-{role}-{k}", 1 if fluid == "hot" else -1, role == "inlet", spec)
+        for fluid, value in (("hot", fluids.hot), ("cold", fluids.cold))
+        for role, specs in (("inlet", value.inlets), ("outlet", value.outlets))
+        for k, spec in enumerate(specs)
+    ]
+    samples, triangle, sample_area = _boundary_samples(mesh)
+    ports = []
+    for name, fluid, inlet, spec in listed:
+        covered = _covered(mesh, spec, samples, triangle, units, name)
+        shared = any(other == spec and sign != fluid for _, sign, _, other in listed)
+        shares = sample_area[triangle[covered]]
+        ports.append(_port(mesh, name, fluid, inlet, shared, samples[covered], triangle[covered], shares))
+    _refuse_overlaps(ports, [spec for *_, spec in listed], mesh)
+    return tuple(ports)
+
+
+def _boundary_samples(mesh: DomainMesh) -> tuple[Array, NDArray[np.int64], Array]:
+    """Points on a regular subdivision of each triangle, their triangles, and the area (F,) a sample stands for."""
+    side = float(np.ptp(mesh.vertices_m, axis=0).max())
+    triangles = mesh.vertices_m[mesh.faces]
+    longest = np.sqrt(((triangles - np.roll(triangles, 1, axis=1)) ** 2).sum(-1).max(axis=1))
+    pieces = np.clip(np.ceil(longest / (side / SAMPLES_ACROSS)).astype(int), 1, 2 * SAMPLES_ACROSS)
+    points, owners = [], []
+    for n in np.unique(pieces):
+        # Centroids of the n² congruent parts: each stands for the same area.
+        i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+        up = np.stack([i, j], -1)[i + j < n] + 1 / 3
+        down = np.stack([i, j], -1)[i + j < n - 1] + 2 / 3
+        uv = np.concatenate([up, down]) / n
+        weights = np.column_stack([1 - uv.sum(axis=1), uv])
+        which = np.flatnonzero(pieces == n)
+        points.append(np.einsum("wk,fkd->fwd", weights, triangles[which]).reshape(-1, 3))
+        owners.append(np.repeat(which, len(weights)))
+    return np.concatenate(points), np.concatenate(owners).astype(np.int64), mesh.areas / pieces**2
+
+
+def _covered(
+    mesh: DomainMesh, spec: PortSpec, samples: Array, triangle: NDArray[np.int64], units: Unit, name: str
+) -> NDArray[np.int64]:
+    """Indices of the samples that a port covers."""
+    if isinstance(spec, FacetPort):
+        if spec.facet >= len(mesh.facets):
+            raise InvalidSpec(
+                f"Port {name} names facet {spec.facet}, but the domain has {len(mesh.facets)} planar facets.",
+                advice="Look the index up with `dualms inspect` or in the domain's record.",
+                measured={"port": name, "facets": len(mesh.facets)},
+            )
+        chosen = np.isin(triangle, mesh.facets[spec.facet].triangles)
+    elif isinstance(spec, DiskPort):
+        center = np.array(spec.center) * units.metres
+        radius = spec.radius * units.metres
+        chosen = ((samples - center) ** 2).sum(axis=1) <= radius**2
+        chosen &= _facing(mesh, samples, triangle, chosen, center)
+    else:
+        low, high = np.array(spec.box) * units.metres
+        slack = 1e-6 * np.ptp(mesh.vertices_m, axis=0).max()  # a box may lie in the plane of a face
+        chosen = ((samples >= low - slack) & (samples <= high + slack)).all(axis=1)
+    found = np.flatnonzero(chosen)
+    if len(found) == 0:
+        gap, nearest = _gap(spec, samples, units)
+        raise PortNotOnBoundary(
+            f"Port {name} covers no part of the domain's boundary; the nearest boundary point, "
+            f"{np.round(nearest / units.metres, 6).tolist()} {units.value}, is {gap / units.metres:.4g} "
+            f"{units.value} away from it.",
+            advice="Move the port onto the boundary or enlarge it; `dualms inspect` lists the planar facets.",
+            measured={"port": name, "gap_m": gap},
+        )
+    return found
+
+
+def _facing(
+    mesh: DomainMesh, samples: Array, triangle: NDArray[np.int64], chosen: NDArray[np.bool_], center: Array
+) -> NDArray[np.bool_]:
+    """Samples whose normal is within 60° of the normal at the disk's centre: a disk does not reach round an edge."""
+    if not chosen.any():
+        return chosen
+    near = np.flatnonzero(chosen)
+    at_center = near[((samples[near] - center) ** 2).sum(axis=1).argmin()]
+    return np.asarray(mesh.normals[triangle] @ mesh.normals[triangle[at_center]] > 0.5)
+
+
+def _gap(spec: PortSpec, samples: Array, units: Unit) -> tuple[float, Array]:
+    """Distance (m) from a port's geometry to the nearest boundary sample, and that sample (m)."""
+    if isinstance(spec, DiskPort):
+        distance = np.linalg.norm(samples - np.array(spec.center) * units.metres, axis=1) - spec.radius * units.metres
+    elif isinstance(spec, BoxPort):
+        low, high = np.array(spec.box) * units.metres
+        distance = np.linalg.norm(samples - np.clip(samples, low, high), axis=1)
+    else:
+        return 0.0, samples[0]
+    k = int(distance.argmin())
+    return float(distance[k]), samples[k]
+
+
+def _port(
+    mesh: DomainMesh,
+    name: str,
+    fluid: int,
+    inlet: bool,
+    shared: bool,
+    samples: Array,
+    triangle: NDArray[np.int64],
+    shares: Array,
+) -> Port:
+    area = float(shares.sum())
+    normal = (mesh.normals[triangle] * shares[:, None]).sum(axis=0)
+    length = float(np.linalg.norm(normal))
+    if length < 1e-3 * area:
+        raise InvalidSpec(
+            f"Port {name} covers boundary parts that face in opposite directions, so it has no direction of flow.",
+            advice="Make the port smaller, or give the parts as separate ports.",
+            measured={"port": name},
+        )
+    center = np.average(samples, axis=0, weights=shares)
+    return Port(name, fluid, inlet, shared, samples, center, normal / length, area, np.unique(triangle))
+
+
+def _refuse_overlaps(ports: list[Port], specs: list[PortSpec], mesh: DomainMesh) -> None:
+    """Ports may coincide only as one opening that both fluids list."""
+    tolerance = 1e-9 * float(np.ptp(mesh.vertices_m, axis=0).max())
+    for (a, spec_a), (b, spec_b) in combinations(zip(ports, specs, strict=True), 2):
+        if spec_a == spec_b and a.fluid != b.fluid:
+            continue
+        distance, _ = cKDTree(b.samples).query(a.samples, distance_upper_bound=tolerance)
+        common = int(np.isfinite(distance).sum())
+        if common:
+            share = common / min(len(a.samples), len(b.samples))
+            raise OverlappingPorts(
+                f"Ports {a.name} and {b.name} overlap on {100 * share:.3g} % of the smaller one.",
+                advice="Move them apart, or give both fluids exactly the same port to share the opening.",
+                measured={"ports": [a.name, b.name], "overlap": share},
+            )
