@@ -73,7 +73,8 @@ class Domain:
         """(P,) whether points (P, 3) lie inside."""
         if len(points) == 0:
             return np.zeros(0, dtype=bool)
-        return np.asarray(igl.fast_winding_number(self.vertices, self.faces, np.ascontiguousarray(points)) > 0.5)
+        winding = igl.fast_winding_number(self.vertices, self.faces, np.ascontiguousarray(points))
+        return np.asarray(winding > 0.5, dtype=bool)
 
     def signed_distance(self, points: Array) -> Array:
         """(P,) exact distance to the boundary, positive inside."""
@@ -81,24 +82,27 @@ class Domain:
             return np.zeros(0)
         points = np.ascontiguousarray(points)
         squared, _, _ = igl.point_mesh_squared_distance(points, self.vertices, self.faces)
-        return np.where(self.contains(points), 1.0, -1.0) * np.sqrt(squared)
+        return np.asarray(np.where(self.contains(points), 1.0, -1.0) * np.sqrt(squared), dtype=float)
 
     def depth(self, grid: Grid, band: float) -> NDArray[np.float32]:
         """Signed distance to the boundary on a grid, positive inside, exact below ``band`` and clipped to ±band.
 
-        Exact distances are computed near the boundary only; beyond, one inside test a connected region decides the
-        sign, so the cost grows with the boundary's area, not with the volume.
+        Distances are computed near the boundary only. Two neighbours on different sides of the boundary cannot both be
+        further than half a voxel from it, so beyond that one inside test a connected region decides the sign.
         """
         near = self._near_boundary(grid, band)
-        depth = np.empty(grid.shape, dtype=np.float32)
-        depth[near] = np.clip(self.signed_distance(grid.points(near)), -band, band)
-        regions, count = ndimage.label(~near)
+        distance = np.full(grid.shape, band)
+        squared, _, _ = igl.point_mesh_squared_distance(grid.points(near), self.vertices, self.faces)
+        distance[near] = np.minimum(np.sqrt(squared), band)
+        far = distance > 0.51 * grid.spacing
+        inside = np.zeros(grid.shape, dtype=bool)
+        inside[~far] = self.contains(grid.points(~far))
+        regions, count = ndimage.label(far)
         if count:
-            first = ndimage.find_objects(regions)
-            seeds = np.array([_first_of(regions, box, k + 1) for k, box in enumerate(first)])
-            sign = np.where(self.contains(grid.origin + grid.spacing * seeds), band, -band)
-            depth[~near] = sign[regions[~near] - 1]
-        return depth
+            boxes = ndimage.find_objects(regions)
+            seeds = np.array([_first_of(regions, box, k + 1) for k, box in enumerate(boxes)])
+            inside[far] = self.contains(grid.origin + grid.spacing * seeds)[regions[far] - 1]
+        return np.where(inside, distance, -distance).astype(np.float32)
 
     def inside(self, grid: Grid) -> Mask:
         """Which voxel centres lie inside; the largest 6-connected region only where the rest is negligible.

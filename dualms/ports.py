@@ -44,6 +44,10 @@ class Port:
         Covered area.
     triangles
         (K,) int64 faces of the domain mesh that the port touches.
+    shape
+        ``disk``, ``box`` or ``facet``.
+    extent
+        (2, 3): a disk's centre and (radius, 0, 0); a box's corners; a facet's bounding box.
     """
 
     name: str
@@ -55,6 +59,8 @@ class Port:
     normal: Array
     area: float
     triangles: NDArray[np.int64]
+    shape: str
+    extent: Array
 
     def __post_init__(self) -> None:
         if self.fluid not in (1, -1) or self.samples.ndim != 2 or len(self.samples) == 0:
@@ -65,13 +71,30 @@ class Port:
         """Radius of the disk of the same area."""
         return float(np.sqrt(self.area / np.pi))
 
+    def lateral(self, points: Array) -> Array:
+        """(P,) how far points (P, 3) lie inside the straight prism over the port, along its normal.
+
+        Positive inside; a facet has no outline of its own, it ends where the boundary turns: infinity.
+        """
+        if self.shape == "disk":
+            offset = points - self.extent[0]
+            across = offset - np.outer(offset @ self.normal, self.normal)
+            return np.asarray(self.extent[1, 0] - np.linalg.norm(across, axis=1), dtype=float)
+        if self.shape == "box":
+            sides = [k for k in range(3) if k != int(np.abs(self.normal).argmax())]
+            inside = np.minimum(points - self.extent[0], self.extent[1] - points)
+            return np.asarray(inside[:, sides].min(axis=1), dtype=float)
+        return np.full(len(points), np.inf)
+
     def mapped(self, offset: Array, scale: float) -> Port:
         """The port with points moved by ``-offset`` and divided by ``scale``."""
+        shift = np.stack([offset, np.zeros(3) if self.shape == "disk" else offset])
         return replace(
             self,
             samples=(self.samples - offset) / scale,
             center=(self.center - offset) / scale,
             area=self.area / scale**2,
+            extent=(self.extent - shift) / scale,
         )
 
 
@@ -113,7 +136,12 @@ def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Po
         covered = _covered(mesh, spec, samples, triangle, units, name)
         shared = any(other == spec and sign != fluid for _, sign, _, other in listed)
         shares = sample_area[triangle[covered]]
-        ports.append(_port(mesh, name, fluid, inlet, shared, samples[covered], triangle[covered], shares))
+        center, normal, area = _mean(name, samples[covered], mesh.normals[triangle[covered]], shares)
+        shape, extent = _extent(mesh, spec, units)
+        touched = np.unique(triangle[covered])
+        ports.append(
+            Port(name, fluid, inlet, shared, samples[covered], center, normal, area, touched, shape, extent)
+        )
     _refuse_overlaps(ports, [spec for *_, spec in listed], mesh)
     return tuple(ports)
 
@@ -196,18 +224,10 @@ def _gap(spec: PortSpec, samples: Array, units: Unit) -> tuple[float, Array]:
     return float(distance[k]), samples[k]
 
 
-def _port(
-    mesh: DomainMesh,
-    name: str,
-    fluid: int,
-    inlet: bool,
-    shared: bool,
-    samples: Array,
-    triangle: NDArray[np.int64],
-    shares: Array,
-) -> Port:
+def _mean(name: str, samples: Array, normals: Array, shares: Array) -> tuple[Array, Array, float]:
+    """Mean point, mean unit normal and area of samples that stand for areas ``shares``."""
     area = float(shares.sum())
-    normal = (mesh.normals[triangle] * shares[:, None]).sum(axis=0)
+    normal = (normals * shares[:, None]).sum(axis=0)
     length = float(np.linalg.norm(normal))
     if length < 1e-3 * area:
         raise InvalidSpec(
@@ -215,8 +235,16 @@ def _port(
             advice="Make the port smaller, or give the parts as separate ports.",
             measured={"port": name},
         )
-    center = np.average(samples, axis=0, weights=shares)
-    return Port(name, fluid, inlet, shared, samples, center, normal / length, area, np.unique(triangle))
+    return np.average(samples, axis=0, weights=shares), normal / length, area
+
+
+def _extent(mesh: DomainMesh, spec: PortSpec, units: Unit) -> tuple[str, Array]:
+    if isinstance(spec, DiskPort):
+        return "disk", np.array([spec.center, (spec.radius, 0.0, 0.0)]) * units.metres
+    if isinstance(spec, BoxPort):
+        return "box", np.array(spec.box) * units.metres
+    points = mesh.vertices_m[mesh.faces[mesh.facets[spec.facet].triangles]].reshape(-1, 3)
+    return "facet", np.stack([points.min(axis=0), points.max(axis=0)])
 
 
 def _refuse_overlaps(ports: list[Port], specs: list[PortSpec], mesh: DomainMesh) -> None:

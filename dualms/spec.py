@@ -178,7 +178,9 @@ class PhaseField(Model):
 
     method: Literal["phase-field"]
     resolution: int = Field(128, ge=24, le=512, description="Voxels along the longest side. Ours.")
-    diffusion_steps: int = Field(15, ge=0, le=200, description="Diffusion steps from the equidistant surface. Ours.")
+    minimality: float = Field(
+        0.5, ge=0, le=1, description="0: equidistant surface; 0.5: diffused; 1: minimal surface (H → 0). Ours."
+    )
 
 
 class NeuralField(Model):
@@ -255,12 +257,12 @@ class Spec(Model):
     )
     fluids: FluidsSpec
     flow: FlowSpec = Field(default_factory=PotentialFlow)
-    graph: GraphSpec = Field(default_factory=GraphSpec)
-    partition: PartitionSpec = Field(default_factory=PartitionSpec)
+    graph: GraphSpec = Field(default=GraphSpec())
+    partition: PartitionSpec = Field(default=PartitionSpec())
     field: FieldSpec = Field(default_factory=AutoField)
-    surface: SurfaceSpec = Field(default_factory=SurfaceSpec)
-    wall: WallThickness | WallFraction = Field(default_factory=WallThickness)
-    shell: ShellSpec | None = Field(default_factory=ShellSpec)
+    surface: SurfaceSpec = Field(default=SurfaceSpec())
+    wall: WallThickness | WallFraction = Field(default=WallThickness())
+    shell: ShellSpec | None = Field(default=ShellSpec())
     build_direction: Point = Field((0.0, 0.0, 1.0), description="Up in the printer.")
     evaluation: EvaluationSpec | None = Field(None, description="Solve the flow too (needs a cfd worker).")
     seed: int = Field(0, ge=0, lt=2**32, description="Seed of everything random.")

@@ -1,0 +1,97 @@
+"""The core that the shell leaves free for each fluid: the domain less a skin, open where the fluid's ports are."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dualms.booleans import Solid
+from dualms.domain import Domain
+from dualms.errors import WallTooThick
+from dualms.grid import Grid
+from dualms.ports import Port
+from dualms.surface import level_set
+from dualms.triangles import TriangleMesh
+
+Values = NDArray[np.float32]
+SMOOTH = np.cos(np.radians(30))  # neighbours that turn by less belong to the same face of the envelope
+SAME_SIDE = np.cos(np.radians(45))
+
+
+def core(domain: Domain, depth: Values, grid: Grid, shell: float, fluid: int) -> Solid:
+    """Where a fluid may be: deeper than the shell, or under one of its ports.
+
+    Under a port the shell still stands along the envelope's other faces, so an opening that takes a whole end face
+    keeps the side walls.
+
+    Parameters
+    ----------
+    domain
+        The envelope and its ports.
+    depth
+        Distance to the boundary on ``grid``, positive inside, exact up to ``shell`` and two voxels more.
+    grid
+        Its grid.
+    shell
+        Thickness, unit-cube units.
+    fluid
+        1 hot, -1 cold.
+
+    Returns
+    -------
+    Solid
+        Reaches beyond the envelope at the openings, so that the envelope cuts it there.
+
+    Raises
+    ------
+    WallTooThick
+        If the shell fills the domain.
+    """
+    free = depth - np.float32(shell)
+    if not (free > 0).any():
+        raise WallTooThick(
+            f"A shell of {shell:.3g} of the domain's longest side fills the domain.",
+            advice="Make the shell thinner.",
+            measured={"shell_over_longest_side": shell},
+        )
+    for port in domain.ports:
+        if port.fluid == fluid:
+            _open(domain, port, free, grid, shell)
+    return Solid.of(level_set(free, grid))
+
+
+def _open(domain: Domain, port: Port, free: Values, grid: Grid, shell: float) -> None:
+    """Raise ``free`` to the opening of one port, in place."""
+    reach = shell + 2 * grid.spacing
+    low = np.maximum(grid.nearest((port.samples.min(axis=0) - reach)[None])[0], 0)
+    high = grid.nearest((port.samples.max(axis=0) + reach)[None])[0] + 1
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    local = np.stack(np.meshgrid(*(axis[s] for axis, s in zip(grid.axes(), box, strict=True)), indexing="ij"), axis=-1)
+    points = local.reshape(-1, 3)
+    squared, _, _ = igl.point_mesh_squared_distance(points, domain.vertices, domain.faces[port.triangles])
+    opening = np.minimum(port.lateral(points), reach - np.sqrt(squared))
+    others = domain.faces[~_face_of(domain, port)]
+    if len(others):
+        squared, _, _ = igl.point_mesh_squared_distance(points, domain.vertices, others)
+        opening = np.minimum(opening, np.sqrt(squared) - shell)
+    free[box] = np.maximum(free[box], opening.reshape(local.shape[:3]).astype(np.float32))
+
+
+def _face_of(domain: Domain, port: Port) -> NDArray[np.bool_]:
+    """(F,) the smooth part of the boundary that the port lies on: what turns away by little, from edge to edge."""
+    mesh = TriangleMesh(domain.vertices, domain.faces)
+    normals = mesh.crosses / np.maximum(np.linalg.norm(mesh.crosses, axis=1), 1e-300)[:, None]
+    edges = np.sort(np.concatenate([domain.faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    _, inverse = np.unique(edges, axis=0, return_inverse=True)
+    pairs = np.argsort(inverse.reshape(-1), kind="stable").reshape(-1, 2) % len(domain.faces)
+    same_side = normals @ port.normal > SAME_SIDE
+    smooth = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > SMOOTH
+    smooth &= same_side[pairs].all(axis=1)
+    links = coo_array((np.ones(int(smooth.sum())), tuple(pairs[smooth].T)), shape=(len(normals),) * 2)
+    _, label = connected_components(links, directed=False)
+    chosen = np.isin(label, np.unique(label[port.triangles]))
+    chosen[port.triangles] = True
+    return np.asarray(chosen)

@@ -1,0 +1,95 @@
+"""Exact booleans of closed meshes, with the origin of every resulting triangle (manifold3d)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import manifold3d
+import numpy as np
+from numpy.typing import NDArray
+
+from dualms.errors import InvalidBody
+from dualms.triangles import TriangleMesh
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A closed body; ``a & b`` intersects, ``a | b`` unites, ``a - b`` subtracts.
+
+    ``origin`` identifies the body's own triangles in whatever is made of it.
+    """
+
+    manifold: manifold3d.Manifold
+    origin: int
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh) -> Solid:
+        """A body from a closed, outward oriented mesh.
+
+        Raises
+        ------
+        InvalidBody
+            If the mesh is not closed and manifold.
+        """
+        origin = manifold3d.Manifold.reserve_ids(1)
+        manifold = manifold3d.Manifold(
+            manifold3d.Mesh64(
+                vert_properties=np.ascontiguousarray(mesh.vertices, dtype=np.float64),
+                tri_verts=np.ascontiguousarray(mesh.faces, dtype=np.uint64),
+                run_index=np.array([0, 3 * len(mesh.faces)], dtype=np.uint64),
+                run_original_id=np.array([origin], dtype=np.uint32),
+            )
+        )
+        if manifold.status() != manifold3d.Error.NoError:
+            raise InvalidBody(
+                f"A mesh of {len(mesh.faces):,} triangles is no closed body: {manifold.status().name}.",
+                advice="If this is your domain, repair it in CAD; otherwise change surface.resolution a little.",
+            )
+        return cls(manifold, origin)
+
+    @classmethod
+    def empty(cls) -> Solid:
+        """The body without points."""
+        return cls(manifold3d.Manifold(), -1)
+
+    def __and__(self, other: Solid) -> Solid:
+        return Solid(self.manifold ^ other.manifold, -1)
+
+    def __or__(self, other: Solid) -> Solid:
+        return Solid(self.manifold + other.manifold, -1)
+
+    def __sub__(self, other: Solid) -> Solid:
+        return Solid(self.manifold - other.manifold, -1)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is left."""
+        return bool(self.manifold.is_empty())
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume."""
+        return float(self.manifold.volume())
+
+    def bodies(self) -> list[Solid]:
+        """The connected bodies, largest first."""
+        parts = [Solid(part, -1) for part in self.manifold.decompose()]
+        return sorted(parts, key=lambda part: -part.volume)
+
+    def mesh(self) -> TriangleMesh:
+        """The boundary as a mesh."""
+        return self.faces_by_origin()[0]
+
+    def faces_by_origin(self) -> tuple[TriangleMesh, NDArray[np.int64]]:
+        """The boundary, and for each triangle (F,) the ``origin`` of the body that it was cut from."""
+        mesh = self.manifold.to_mesh64()
+        faces = np.asarray(mesh.tri_verts, dtype=np.int64)
+        vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
+        if len(mesh.merge_from_vert):
+            target = np.arange(len(vertices))
+            target[np.asarray(mesh.merge_from_vert)] = np.asarray(mesh.merge_to_vert)
+            faces = target[faces]
+        runs = np.asarray(mesh.run_index, dtype=np.int64) // 3
+        origin = np.repeat(np.asarray(mesh.run_original_id, dtype=np.int64), np.diff(runs))
+        used, faces = np.unique(faces, return_inverse=True)
+        return TriangleMesh(vertices[used], faces.reshape(-1, 3).astype(np.int64)), origin

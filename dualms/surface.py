@@ -1,0 +1,144 @@
+"""The separating surface: zero level set of the field, clipped exactly to the domain and brought back to metres.
+
+The only marching cubes of the project (Lewiner et al. 2003, by scikit-image) and, with the wall's offset surfaces, the
+only conversion from the unit cube back to metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage import measure
+
+from dualms.booleans import Solid
+from dualms.domain import Domain
+from dualms.errors import EmptySurface
+from dualms.grid import Grid
+from dualms.triangles import TriangleMesh
+
+Values = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The clipped separating surface.
+
+    Parameters
+    ----------
+    mesh
+        Open mesh in metres; its normals point to the cold side.
+    distance
+        Signed distance to the unclipped surface on ``grid``, unit-cube units, positive on the hot side, clipped to
+        ±``band``.
+    grid
+        Its grid, unit-cube frame.
+    band
+        Where ``distance`` is exact.
+    """
+
+    mesh: TriangleMesh
+    distance: Values
+    grid: Grid
+    band: float
+
+
+def extract_surface(domain: Domain, values: Values, grid: Grid, band: float) -> Surface:
+    """Take the zero level set of a field inside the domain.
+
+    Parameters
+    ----------
+    domain
+        The envelope.
+    values
+        (nx, ny, nz) the field on ``grid``: positive hot, negative cold.
+    grid
+        Must cover the domain.
+    band
+        Half width in which exact distances are wanted, unit-cube units.
+
+    Raises
+    ------
+    EmptySurface
+        If the field has one sign in the whole domain.
+    """
+    whole = level_set(values, grid)
+    if len(whole.faces) == 0:
+        raise _empty()
+    wanted = domain.depth(grid, band + grid.spacing) > -band
+    distance = signed_distance(whole, values, grid, band, wanted)
+    hot = Solid.of(whole)
+    clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
+    part = clipped.part(origin == hot.origin)
+    if len(part.faces) == 0:
+        raise _empty()
+    return Surface(to_metres(domain, part), distance, grid, band)
+
+
+def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
+    """Closed boundary of {values > level} on a grid, capped at the grid's outermost voxels, normals outward.
+
+    Parameters
+    ----------
+    values
+        (nx, ny, nz) samples.
+    grid
+        Their grid.
+    level
+        The isovalue.
+
+    Returns
+    -------
+    TriangleMesh
+        In the grid's frame; empty where the values never exceed the level.
+    """
+    values = np.array(values - np.float32(level), dtype=np.float32)
+    scale = max(float(np.abs(values).max()), 1e-30)
+    # A value of exactly zero would put several vertices on one grid point: triangles without area.
+    tiny = np.float32(1e-5 * min(scale, grid.spacing))
+    values = np.where(np.abs(values) < tiny, np.where(values > 0, tiny, -tiny), values)
+    cap = np.float32(-max(scale, tiny))
+    for axis in range(3):
+        edge: list[slice | list[int]] = [slice(None)] * 3
+        edge[axis] = [0, -1]
+        values[tuple(edge)] = np.minimum(values[tuple(edge)], cap)
+    if not (values > 0).any():
+        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    vertices, faces, _, _ = measure.marching_cubes(values, 0.0, gradient_direction="ascent", allow_degenerate=False)
+    return TriangleMesh(grid.origin + grid.spacing * vertices.astype(np.float64), faces.astype(np.int64))
+
+
+def signed_distance(
+    surface: TriangleMesh, values: Values, grid: Grid, band: float, wanted: NDArray[np.bool_]
+) -> Values:
+    """Exact distance to a surface on a grid, signed by ``values`` and clipped to ±band.
+
+    Computed only at ``wanted`` voxels that may lie within the band; elsewhere it is ±band.
+    """
+    positive = values > 0
+    near = np.zeros(grid.shape, dtype=bool)
+    for axis in range(3):
+        change = np.diff(positive, axis=axis)
+        near |= np.pad(change, [(0, 1) if k == axis else (0, 0) for k in range(3)])
+        near |= np.pad(change, [(1, 0) if k == axis else (0, 0) for k in range(3)])
+    reach = wanted & (ndimage.distance_transform_edt(~near) <= band / grid.spacing + 1.0)
+    distance = np.where(positive, np.float32(band), np.float32(-band))
+    squared, _, _ = igl.point_mesh_squared_distance(grid.points(reach), surface.vertices, surface.faces)
+    exact = np.minimum(np.sqrt(squared), band)
+    distance[reach] = np.where(positive[reach], exact, -exact)
+    return distance
+
+
+def to_metres(domain: Domain, mesh: TriangleMesh) -> TriangleMesh:
+    """A mesh of the unit-cube frame, in metres."""
+    return mesh.moved(domain.scale_m, domain.offset_m)
+
+
+def _empty() -> EmptySurface:
+    return EmptySurface(
+        "The field has the same sign in the whole domain: one fluid fills it.",
+        advice="Use more sites, or check that both fluids' ports open into the domain.",
+    )
