@@ -52,6 +52,8 @@ class Body:
     ----------
     solid
         Wall and shell: the envelope less both fluids, closed.
+    solid_side
+        (F,) int64 for each face of the solid: 1 towards the hot fluid, -1 towards the cold, 0 outside.
     hot, cold
         The fluid volumes.
     wall_m, shell_m
@@ -63,6 +65,7 @@ class Body:
     """
 
     solid: TriangleMesh
+    solid_side: NDArray[np.int64]
     hot: Fluid
     cold: Fluid
     wall_m: float
@@ -91,16 +94,25 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
         If nothing is left, or a boolean fails.
     """
     envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
-    hot_side, cold_side = channels(surface, wall)
     depth = domain.depth(surface.grid, shell + 2 * surface.grid.spacing) if shell else None
-    fluids: dict[int, tuple[Solid, Fluid]] = {}
-    for sign, side in ((1, hot_side), (-1, cold_side)):
-        room = envelope
+    made: dict[int, tuple[Solid, Fluid]] = {}
+    side_of: dict[int, int] = {}
+    block = envelope
+    for sign, side in zip((1, -1), channels(surface, wall), strict=True):
+        room = side
         if depth is not None:
-            room = core(domain, depth, surface.grid, shell, sign) & envelope
-        fluids[sign] = _fluid(domain, side & room, side.origin, envelope.origin, sign, shell)
-    (hot_solid, hot), (cold_solid, cold) = fluids[1], fluids[-1]
-    parts = (envelope - hot_solid - cold_solid).bodies()
+            free = core(domain, depth, surface.grid, shell, sign)
+            side_of[free.origin] = sign
+            room = side & free
+        side_of[side.origin] = sign
+        part, pockets, fluid = _fluid(domain, room & envelope, side.origin, envelope.origin, sign, shell)
+        made[sign] = part, fluid
+        # Subtract what reaches beyond the envelope, not what was cut by it: no two faces coincide.
+        block = block - room
+        for pocket in pockets:
+            block = block | pocket
+    (hot_solid, hot), (cold_solid, cold) = made[1], made[-1]
+    parts = block.bodies()
     if not parts:
         raise InvalidBody("No solid is left.", advice="Make the wall or the shell thicker.")
     dropped = sum(part.volume for part in parts[1:])
@@ -112,8 +124,10 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
             measured={"parts": len(parts), "loose_fraction": dropped / envelope.volume},
         )
     cubic = domain.scale_m**3
+    solid, origin = parts[0].faces_by_origin()
     return Body(
-        solid=to_metres(domain, parts[0].mesh()),
+        solid=to_metres(domain, solid),
+        solid_side=np.array([side_of.get(o, 0) for o in range(origin.max() + 1)])[origin],
         hot=hot,
         cold=cold,
         wall_m=wall * domain.scale_m,
@@ -123,8 +137,10 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
     )
 
 
-def _fluid(domain: Domain, cut: Solid, interface: int, envelope: int, sign: int, shell: float) -> tuple[Solid, Fluid]:
-    """The part of a fluid that joins its ports, with its patches; other parts are filled in."""
+def _fluid(
+    domain: Domain, cut: Solid, interface: int, envelope: int, sign: int, shell: float
+) -> tuple[Solid, list[Solid], Fluid]:
+    """The part of a fluid that joins its ports, the pockets to fill in, and the part's mesh with its patches."""
     name = "hot" if sign == 1 else "cold"
     ports = [port for port in domain.ports if port.fluid == sign]
     parts = cut.bodies()
@@ -154,7 +170,7 @@ def _fluid(domain: Domain, cut: Solid, interface: int, envelope: int, sign: int,
         components=len(part.bodies()),
         filled_m3=filled * domain.scale_m**3,
     )
-    return part, fluid
+    return part, [pocket for pocket in parts if pocket is not part], fluid
 
 
 def filled_fraction(fluid: Fluid) -> float:

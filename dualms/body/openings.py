@@ -92,6 +92,6 @@ def _face_of(domain: Domain, port: Port) -> NDArray[np.bool_]:
     smooth &= same_side[pairs].all(axis=1)
     links = coo_array((np.ones(int(smooth.sum())), tuple(pairs[smooth].T)), shape=(len(normals),) * 2)
     _, label = connected_components(links, directed=False)
-    chosen = np.isin(label, np.unique(label[port.triangles]))
-    chosen[port.triangles] = True
-    return np.asarray(chosen)
+    # A box may also catch a rim of the side walls: those do not open.
+    facing = port.triangles[same_side[port.triangles]]
+    return np.asarray(np.isin(label, np.unique(label[facing])) & same_side)
