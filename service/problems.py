@@ -1,0 +1,227 @@
+"""What went wrong, as ``application/problem+json`` (RFC 9457): one table code -> HTTP status, one way out."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+
+from dualms.errors import DualMSError
+
+log = logging.getLogger("dualms.service")
+
+MEDIA_TYPE = "application/problem+json"
+TYPE_PREFIX = "urn:dualms:problem:"
+
+# Every code that an answer may carry. A failed design's `error.code` comes from the same list and the workers'.
+STATUS: dict[str, int] = {
+    # the request
+    "malformed-request": 400,
+    "not-found": 404,
+    "domain-not-found": 404,
+    "design-not-found": 404,
+    "artifact-not-found": 404,
+    "method-not-allowed": 405,
+    "too-large": 413,
+    "unsupported-media-type": 415,
+    "unsupported-format": 415,
+    "range-not-satisfiable": 416,
+    "invalid-request": 422,
+    "invalid-cursor": 422,
+    "idempotency-key-reused": 422,
+    # the domain file
+    "unreadable-file": 422,
+    "invalid-mesh": 422,
+    "missing-units": 422,
+    "inspection-limits": 422,
+    # the specification
+    "invalid-spec": 422,
+    "port-not-on-boundary": 422,
+    "overlapping-ports": 422,
+    "disconnected-domain": 422,
+    "infeasible-partition": 422,
+    "wall-too-thick": 422,
+    "evaluation-unavailable": 422,
+    # the service
+    "domain-in-use": 409,
+    "design-running": 409,
+    "internal-error": 500,
+    "queue-unavailable": 503,
+    "not-ready": 503,
+}
+TITLES: dict[str, str] = {
+    "malformed-request": "The request cannot be read",
+    "not-found": "There is nothing at this address",
+    "domain-not-found": "There is no such domain",
+    "design-not-found": "There is no such design",
+    "artifact-not-found": "There is no such artifact",
+    "method-not-allowed": "This address does not answer to that method",
+    "too-large": "The input exceeds a limit",
+    "unsupported-media-type": "The body's media type is not accepted here",
+    "unsupported-format": "The file format is not read",
+    "range-not-satisfiable": "The asked range lies outside the file",
+    "invalid-request": "The request has invalid fields",
+    "invalid-cursor": "The cursor is not one of this service",
+    "idempotency-key-reused": "The idempotency key was used with another body",
+    "unreadable-file": "The file cannot be read",
+    "invalid-mesh": "The mesh cannot be an envelope",
+    "missing-units": "The length unit is missing",
+    "inspection-limits": "Reading the file took more than is allowed",
+    "invalid-spec": "The specification contradicts itself or the domain",
+    "port-not-on-boundary": "A port misses the domain's boundary",
+    "overlapping-ports": "Two ports overlap",
+    "disconnected-domain": "The domain is not connected",
+    "infeasible-partition": "No partition meets the constraints",
+    "wall-too-thick": "The wall leaves no room",
+    "evaluation-unavailable": "No worker can solve the flow",
+    "domain-in-use": "The domain is in use",
+    "design-running": "The design still runs",
+    "internal-error": "Something broke in the service",
+    "queue-unavailable": "The queue cannot be reached",
+    "not-ready": "The service is not ready",
+}
+_BY_HTTP = {400: "malformed-request", 404: "not-found", 405: "method-not-allowed", 413: "too-large", 415: "unsupported-media-type"}  # fmt: skip
+
+
+class FieldProblem(BaseModel):
+    """One field of the request that does not fit."""
+
+    model_config = ConfigDict(frozen=True)
+    field: str = Field(description="Path of the field, such as `spec.fluids.hot.inlets.0.radius`.")
+    message: str
+
+
+class ProblemDocument(BaseModel):
+    """An error, as RFC 9457 has it."""
+
+    model_config = ConfigDict(frozen=True)
+    type: str = Field(description="A URN that ends in the code.")
+    title: str
+    status: int
+    detail: str = Field(description="What is wrong, with the measured value and where.")
+    code: str = Field(description="Stable; for programs.")
+    advice: str = Field(description="What to try.")
+    measured: dict[str, Any] = Field(description="The figures behind the detail.")
+    errors: list[FieldProblem] = Field(description="The fields that do not fit, if any.")
+
+
+class Problem(Exception):  # noqa: N818 - the RFC's word
+    """A request that is answered with a problem document.
+
+    Parameters
+    ----------
+    code
+        One of ``STATUS``.
+    detail, advice, measured
+        As in ``ProblemDocument``.
+    """
+
+    def __init__(
+        self,
+        code: str,
+        detail: str,
+        advice: str = "",
+        *,
+        measured: Mapping[str, object] | None = None,
+        errors: Sequence[FieldProblem] = (),
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(detail)
+        self.code, self.detail, self.advice = code, detail, advice
+        self.measured, self.errors, self.headers = dict(measured or {}), list(errors), dict(headers or {})
+
+    def document(self) -> ProblemDocument:
+        """The document that the client gets."""
+        status = STATUS.get(self.code, 422)
+        return ProblemDocument(
+            type=TYPE_PREFIX + self.code,
+            title=TITLES.get(self.code, HTTPStatus(status).phrase),
+            status=status,
+            detail=self.detail,
+            code=self.code,
+            advice=self.advice,
+            measured=self.measured,
+            errors=self.errors,
+        )
+
+    def response(self) -> Response:
+        """The whole answer."""
+        document = self.document()
+        return JSONResponse(document.model_dump(), document.status, self.headers, MEDIA_TYPE)
+
+
+def from_dualms(error: DualMSError) -> Problem:
+    """An input that the library refused."""
+    return Problem(error.code, error.message, error.advice, measured=error.measured)
+
+
+def from_validation(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> Problem:
+    """Fields that pydantic refused; never echoes the input's values."""
+    fields = [FieldProblem(field=_path(e["loc"], prefix), message=_sentence(str(e["msg"]))) for e in errors[:20]]
+    first = fields[0]
+    more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
+    unknown = any(e["type"] == "extra_forbidden" for e in errors)
+    advice = "Unknown keys are refused: check the spelling. " if unknown else ""
+    return Problem(
+        "invalid-request", f"{first.field}: {first.message}{more}", advice + "GET /openapi.json has the schema.", errors=fields
+    )  # fmt: skip
+
+
+def install(app: FastAPI) -> None:
+    """Answer every failure of ``app`` with a problem document."""
+
+    @app.exception_handler(Problem)
+    async def _problem(request: Request, error: Problem) -> Response:
+        return error.response()
+
+    @app.exception_handler(DualMSError)
+    async def _dualms(request: Request, error: DualMSError) -> Response:
+        return from_dualms(error).response()
+
+    @app.exception_handler(RequestValidationError)
+    async def _validation(request: Request, error: RequestValidationError) -> Response:
+        errors = list(error.errors())
+        if any(e["type"] == "json_invalid" for e in errors):
+            return Problem("malformed-request", "The body is not JSON.", "Send one JSON object.").response()
+        return from_validation(errors).response()
+
+    @app.exception_handler(HTTPException)
+    async def _http(request: Request, error: HTTPException) -> Response:
+        code = _BY_HTTP.get(error.status_code)
+        if code is None:
+            raise error
+        headers = dict(error.headers or {})
+        detail = str(error.detail) if code == "malformed-request" else f"{request.method} {request.url.path}"
+        return Problem(code, detail, "GET /openapi.json lists the calls.", headers=headers).response()
+
+    @app.exception_handler(Exception)
+    async def _unexpected(request: Request, error: Exception) -> Response:
+        incident = secrets.token_hex(6)
+        log.error("incident %s at %s %s", incident, request.method, request.url.path, exc_info=error)
+        return Problem(
+            "internal-error",
+            f"The service failed on this request; its log has the cause under {incident}.",
+            "Try again; if it stays, send that id to whoever runs the service.",
+            measured={"incident": incident},
+        ).response()
+
+
+def _path(location: Sequence[str | int], prefix: str) -> str:
+    """`body.spec.fluids.hot` as clients wrote it; pydantic's names of union members are left out."""
+    parts = [str(p) for p in location]
+    if parts and parts[0] in ("body", "query", "path", "header"):
+        parts = parts[1:]
+    kept = [p for p in parts if not (p[:1].isupper() or "[" in p or "(" in p)]
+    return ".".join([prefix, *kept] if prefix else kept) or "body"
+
+
+def _sentence(message: str) -> str:
+    return message.removeprefix("Value error, ")
