@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -35,8 +34,9 @@ err = Console(stderr=True)
 DomainFile = Annotated[Path, typer.Argument(help="Envelope: STL, OBJ, PLY, OFF, GLB or 3MF.", show_default=False)]
 SpecFile = Annotated[Path, typer.Argument(help="Specification: a JSON file.", show_default=False)]
 Data = Annotated[
-    Path | None, typer.Option("--data", help="Folder of the store, artifacts and logs [DUALMS_DATA_DIR].", show_default=False)
-]  # fmt: skip
+    Path | None,
+    typer.Option("--data", help="Folder of the store, artifacts and logs [DUALMS_DATA_DIR].", show_default=False),
+]
 
 
 def main() -> None:
@@ -164,16 +164,19 @@ def submit(
     spec: SpecFile,
     url: Annotated[str, typer.Option(help="The service.", envvar="DUALMS_URL")] = "http://127.0.0.1:8000",
     wait: Annotated[bool, typer.Option("--wait", help="Follow the design until it ends.")] = False,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Download all artifacts to here; implies --wait.")] = None,
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Download everything to here; implies --wait.")] = None,
     require: Annotated[
         list[str] | None,
-        typer.Option("--require", help="Requirement on the report, such as 'leak_free and wall.thickness_min_m > 4e-4'; "
-                     "may be repeated; implies --wait; exit code 1 where one fails."),
+        typer.Option(
+            "--require",
+            help="Requirement on the report, such as 'leak_free and wall.thickness_min_m > 4e-4'; may be repeated; "
+            "implies --wait; exit code 1 where one fails.",
+        ),
     ] = None,
     name: Annotated[str | None, typer.Option(help="A name for people.")] = None,
     key: Annotated[str | None, typer.Option(help="API key.", envvar="DUALMS_API_KEY", show_envvar=True)] = None,
     timeout: Annotated[float | None, typer.Option(help="Give up waiting after so many seconds.", min=1)] = None,
-) -> None:  # fmt: skip
+) -> None:
     """Send a design to a service; for scripts and CI."""
     from service.client import Client, ServiceError, Unreachable
 
@@ -322,4 +325,4 @@ def _unit(text: str | None) -> Unit | None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

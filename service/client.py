@@ -36,7 +36,7 @@ class ServiceError(Exception):
         super().__init__(f"{detail} {self.advice}".strip())
 
 
-class Unreachable(Exception):  # noqa: N818 - a state
+class Unreachable(Exception):
     """No answer came, after several tries."""
 
 

@@ -94,9 +94,8 @@ def _gpu() -> Finding:
 def _openfoam() -> Finding:
     if openfoam_found():
         return Finding("OpenFOAM", "good", str(shutil.which("simpleFoam")))
-    return Finding(
-        "OpenFOAM", "optional", "not on the path", "For solved pressure and heat: apt-get install openfoam (Debian, Ubuntu)."
-    )  # fmt: skip
+    advice = "For solved pressure and heat: apt-get install openfoam (Debian, Ubuntu)."
+    return Finding("OpenFOAM", "optional", "not on the path", advice)
 
 
 def _broker(url: str | None) -> Finding:

@@ -32,7 +32,7 @@ BROKER_READY_S = 10.0
 POLL_S = 0.2
 
 
-class CannotServe(Exception):  # noqa: N818 - a refusal
+class CannotServe(Exception):
     """The service cannot start here; the message says why and what to do."""
 
 
@@ -139,7 +139,7 @@ def gpu_found() -> bool:
 
 
 def socket_path(data: Path) -> Path:
-    """Where the broker's Unix socket lies: in the data folder, or in a short private folder if that path is too long."""
+    """Where the broker's Unix socket lies: in the data folder, or in a short private one if that path is too long."""
     inside = data.resolve() / "broker" / "valkey.sock"
     if len(os.fsencode(inside)) <= MAX_SOCKET_PATH:
         return inside

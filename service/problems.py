@@ -88,7 +88,13 @@ TITLES: dict[str, str] = {
     "queue-unavailable": "The queue cannot be reached",
     "not-ready": "The service is not ready",
 }
-_BY_HTTP = {400: "malformed-request", 404: "not-found", 405: "method-not-allowed", 413: "too-large", 415: "unsupported-media-type"}  # fmt: skip
+_BY_HTTP = {
+    400: "malformed-request",
+    404: "not-found",
+    405: "method-not-allowed",
+    413: "too-large",
+    415: "unsupported-media-type",
+}
 
 
 class FieldProblem(BaseModel):
@@ -113,7 +119,7 @@ class ProblemDocument(BaseModel):
     errors: list[FieldProblem] = Field(description="The fields that do not fit, if any.")
 
 
-class Problem(Exception):  # noqa: N818 - the RFC's word
+class Problem(Exception):
     """A request that is answered with a problem document.
 
     Parameters
@@ -170,9 +176,8 @@ def from_validation(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> Pr
     more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
     unknown = any(e["type"] == "extra_forbidden" for e in errors)
     advice = "Unknown keys are refused: check the spelling. " if unknown else ""
-    return Problem(
-        "invalid-request", f"{first.field}: {first.message}{more}", advice + "GET /openapi.json has the schema.", errors=fields
-    )  # fmt: skip
+    advice += "GET /openapi.json has the schema."
+    return Problem("invalid-request", f"{first.field}: {first.message}{more}", advice, errors=fields)
 
 
 def install(app: FastAPI) -> None:
