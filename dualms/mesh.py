@@ -28,6 +28,7 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf")
 MAX_FACES = 2_000_000
 MAX_UNZIPPED_BYTES = 512 * 1024**2
 PLANAR_RADIANS = 0.01  # neighbours of a facet differ by less; a curved part that slips in fails the plane fit
+SHARP_RADIANS = 0.35  # 20°: more than between the strips of a cylinder of 18 sides
 MAX_FACETS = 64
 CARRIED_UNITS = {"m": Unit.M, "meter": Unit.M, "meters": Unit.M, "millimeter": Unit.MM, "millimeters": Unit.MM,
                  "mm": Unit.MM, "centimeter": Unit.CM, "centimeters": Unit.CM, "cm": Unit.CM, "inch": Unit.IN,
@@ -79,15 +80,26 @@ class DomainMesh:
 
     @cached_property
     def facets(self) -> tuple[Facet, ...]:
-        """Planar facets of more than 0.1 % of the area, largest first (at most 64)."""
-        pairs = trimesh.graph.face_adjacency(self.faces)
-        flat = np.einsum("ij,ij->i", *(self.normals[pairs[:, k]] for k in (0, 1))) > np.cos(PLANAR_RADIANS)
+        """Planar facets bounded mostly by sharp edges, of more than 0.1 % of the area, largest first (at most 64).
+
+        Strips of a tessellated cylinder are planar too; their smooth borders tell them apart.
+        """
+        pairs, edges = trimesh.graph.face_adjacency(self.faces, return_edges=True)
+        cosine = np.einsum("ij,ij->i", self.normals[pairs[:, 0]], self.normals[pairs[:, 1]])
+        flat = cosine > np.cos(PLANAR_RADIANS)
         links = coo_array((np.ones(flat.sum()), tuple(pairs[flat].T)), shape=(len(self.faces),) * 2)
-        _, label = connected_components(links, directed=False)
+        count, label = connected_components(links, directed=False)
+        length = np.linalg.norm(np.diff(self.vertices_m[edges], axis=1)[:, 0], axis=1)
+        border = label[pairs[:, 0]] != label[pairs[:, 1]]
+        sharp = border & (cosine < np.cos(SHARP_RADIANS))
+        round_, sharply = (
+            sum(np.bincount(label[pairs[kind, k]], weights=length[kind], minlength=count) for k in (0, 1))
+            for kind in (border, sharp)
+        )
         area = np.bincount(label, weights=self.areas)
-        candidates = np.flatnonzero(area > 1e-3 * self.areas.sum())
+        candidates = np.flatnonzero((area > 1e-3 * self.areas.sum()) & (sharply > 0.5 * round_))
         facets = [f for k in candidates if (f := self._planar(np.flatnonzero(label == k)))]
-        facets.sort(key=lambda f: (-round(f.area_m2 / self.areas.sum(), 6), *f.center_m.round(9).tolist()))
+        facets.sort(key=lambda f: (-round(f.area_m2 / self.areas.sum(), 5), *f.center_m.round(7).tolist()))
         return tuple(facets[:MAX_FACETS])
 
     @cached_property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from pathlib import Path
 from typing import Literal
 
 from dualms import __version__
@@ -50,11 +51,12 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
 }
 OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {"prepare": (), "solve": (), "build": (), "evaluate": ("case.zip",)}
 INTERNAL: dict[Step, tuple[str, ...]] = {
-    "prepare": ("prepared.safetensors",),
-    "solve": (),
-    "build": ("body.safetensors",),
+    "prepare": ("prepared.safetensors", "timings-prepare.json"),
+    "solve": ("timings-solve.json",),
+    "build": (),
     "evaluate": (),
 }
+CHECKPOINT = "checkpoint"  # a step's own folder for what lets a second attempt go on; not an artifact
 
 
 def steps_of(spec: Spec) -> tuple[Step, ...]:
@@ -92,3 +94,9 @@ def step_keys(domain_sha256: str, spec: Spec) -> dict[Step, str]:
         text = json.dumps([__version__, step, previous, parameters[step]], sort_keys=True)
         previous = keys[step] = hashlib.sha256(text.encode()).hexdigest()
     return keys
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

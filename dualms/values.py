@@ -23,7 +23,8 @@ def save(value: object, path: Path) -> None:
     """Write a frozen dataclass of arrays, scalars, strings, tuples and other such dataclasses to one file."""
     arrays: dict[str, np.ndarray] = {}
     tree = _flatten(value, "value", arrays)
-    metadata = {"type": type(value).__name__, "tree": json.dumps(tree, sort_keys=True)}
+    # One metadata entry only: safetensors writes several in no fixed order.
+    metadata = {"dualms": json.dumps({"type": type(value).__name__, "tree": tree}, sort_keys=True)}
     partial = path.with_name(path.name + ".partial")
     save_file(arrays, partial, metadata=metadata)
     partial.replace(path)
@@ -38,11 +39,11 @@ def load(kind: type[T], path: Path) -> T:
         If the file holds a value of another type.
     """
     with safe_open(path, framework="numpy") as file:
-        metadata = file.metadata()
-        if metadata.get("type") != kind.__name__:
-            raise ValueError(f"{path.name} holds a {metadata.get('type')}, not a {kind.__name__}")
+        header = json.loads((file.metadata() or {}).get("dualms", "{}"))
+        if header.get("type") != kind.__name__:
+            raise ValueError(f"{path.name} holds a {header.get('type')}, not a {kind.__name__}")
         arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-    return typing.cast("T", _restore(kind, json.loads(metadata["tree"]), arrays))
+    return typing.cast("T", _restore(kind, header["tree"], arrays))
 
 
 def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:

@@ -1,0 +1,88 @@
+"""Meshes as files: binary STL, 3MF with its unit and colours (lib3mf), and a coloured GLB scene (trimesh)."""
+
+from __future__ import annotations
+
+import io
+import uuid
+import zipfile
+from pathlib import Path
+
+import lib3mf
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from dualms.spec import Unit
+from dualms.triangles import TriangleMesh
+
+Colour = tuple[int, int, int, int]
+
+HOT: Colour = (214, 69, 52, 255)
+COLD: Colour = (52, 112, 196, 255)
+METAL: Colour = (176, 178, 184, 255)
+SIDE_COLOURS: dict[int, Colour] = {0: METAL, 1: HOT, -1: COLD}
+
+_3MF_UNITS = {
+    Unit.M: lib3mf.ModelUnit.Meter,
+    Unit.CM: lib3mf.ModelUnit.CentiMeter,
+    Unit.MM: lib3mf.ModelUnit.MilliMeter,
+    Unit.IN: lib3mf.ModelUnit.Inch,
+}
+
+
+def write_stl(mesh: TriangleMesh, path: Path) -> None:
+    """Write a binary STL; coordinates are rounded to single precision, the format's own."""
+    path.write_bytes(trimesh.exchange.stl.export_stl(_trimesh(mesh)))
+
+
+def write_3mf(mesh: TriangleMesh, side: NDArray[np.int64], units: Unit, path: Path) -> None:
+    """Write a 3MF whose triangles are coloured by side (1 hot, -1 cold, 0 outside).
+
+    Notes
+    -----
+    Time stamps and identifiers are constants, so the same mesh gives the same bytes.
+    """
+    model = lib3mf.get_wrapper().CreateModel()
+    model.SetUnit(_3MF_UNITS[units])
+    item = model.AddMeshObject()
+    item.SetName("solid")
+    vertices = (lib3mf.Position * len(mesh.vertices)).from_buffer_copy(mesh.vertices.astype(np.float32).tobytes())
+    triangles = (lib3mf.Triangle * len(mesh.faces)).from_buffer_copy(mesh.faces.astype(np.uint32).tobytes())
+    item.SetGeometry(vertices, triangles)
+    group = model.AddColorGroup()
+    identifier = {s: group.AddColor(lib3mf.Color(*colour)) for s, colour in SIDE_COLOURS.items()}
+    resource = group.GetResourceID()
+    properties = np.empty((len(side), 4), dtype=np.uint32)
+    properties[:, 0] = resource
+    for s, k in identifier.items():
+        properties[side == s, 1:] = k
+    item.SetAllTriangleProperties((lib3mf.TriangleProperties * len(side)).from_buffer_copy(properties.tobytes()))
+    item.SetObjectLevelProperty(resource, identifier[0])
+    built = model.AddBuildItem(item, lib3mf.get_wrapper().GetIdentityTransform())
+    for name, named in (("object", item.SetUUID), ("item", built.SetUUID), ("build", model.SetBuildUUID)):
+        named(str(uuid.uuid5(uuid.NAMESPACE_OID, name)))
+    writer = model.QueryWriter("3mf")
+    writer.SetDecimalPrecision(9)
+    path.write_bytes(_without_time(bytes(bytearray(writer.WriteToBuffer()))))
+
+
+def write_glb(parts: dict[str, tuple[TriangleMesh, Colour | NDArray[np.uint8]]], path: Path) -> None:
+    """Write named meshes as a GLB scene, each with one colour or one a face (F, 4)."""
+    scene = trimesh.Scene()
+    for name, (mesh, colour) in parts.items():
+        shape = _trimesh(mesh)
+        shape.visual = trimesh.visual.ColorVisuals(shape, face_colors=colour)
+        scene.add_geometry(shape, node_name=name, geom_name=name)
+    path.write_bytes(scene.export(file_type="glb"))
+
+
+def _trimesh(mesh: TriangleMesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
+
+
+def _without_time(archive: bytes) -> bytes:
+    rewritten = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(archive)) as old, zipfile.ZipFile(rewritten, "w", zipfile.ZIP_DEFLATED) as new:
+        for item in sorted(old.infolist(), key=lambda i: i.filename):
+            new.writestr(zipfile.ZipInfo(item.filename), old.read(item), zipfile.ZIP_DEFLATED)
+    return rewritten.getvalue()

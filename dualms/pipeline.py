@@ -1,0 +1,120 @@
+"""The four steps of a design, each from files to files, so that any of them can run on another machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from dualms import results
+from dualms.body.body import make_body
+from dualms.body.walls import wall_thickness
+from dualms.cut.partition import Partition, max_cut
+from dualms.domain import Domain
+from dualms.field.field import load_field, save_field
+from dualms.field.solve import solve_field
+from dualms.flow import flow_field
+from dualms.graph.graph import Graph, site_graph
+from dualms.measure.report import make_report
+from dualms.mesh import read_domain_mesh
+from dualms.ports import resolve_ports
+from dualms.progress import Progress
+from dualms.skeletons import Skeletons, skeletons, write_json
+from dualms.spec import AutoField, ShellSpec, Spec, Unit
+from dualms.steps import CHECKPOINT, Step, sha256_of
+from dualms.stopwatch import Stopwatch
+from dualms.surface import extract_surface
+from dualms.values import load, save
+
+BAND_VOXELS = 2.5  # what marching cubes needs of exact distance beyond half the wall
+WIDEST_WALL = 0.06  # band, in unit-cube units, within which a wall given by its share is looked for
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What ``prepare`` hands on."""
+
+    domain: Domain
+    graph: Graph
+    partition: Partition
+    skeletons: Skeletons
+    units: str
+
+
+def run_step(step: Step, folder: Path, domain_file: Path, spec: Spec, progress: Progress, device: str = "cpu") -> None:
+    """Run one step in a folder that holds the earlier steps' files; it leaves the files that ``dualms.steps`` names."""
+    if step == "prepare":
+        prepare(folder, domain_file, spec, progress)
+    elif step == "solve":
+        solve(folder, spec, progress, device)
+    elif step == "build":
+        build(folder, domain_file, spec, progress)
+    else:
+        evaluate(folder, spec, progress)
+
+
+def prepare(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> None:
+    """Domain file → domain, flow guidance, graph, partition, skeletons."""
+    watch = Stopwatch(progress)
+    mesh = watch.run("domain", lambda: read_domain_mesh(domain_file, spec.units))
+    units = spec.units or mesh.units
+    domain = watch.run("domain", lambda: Domain.from_mesh(mesh, resolve_ports(mesh, spec.fluids, units)))
+    flow = watch.run("flow", lambda: flow_field(domain, spec.flow, units.metres, progress=progress))
+    graph = watch.run("graph", lambda: site_graph(domain, flow, spec.graph, spec.seed, progress=progress))
+    partition = watch.run("partition", lambda: max_cut(graph, spec.partition, spec.seed, progress=progress))
+    sampled = watch.run("skeletons", lambda: skeletons(domain, graph, partition))
+    save(Prepared(domain, graph, partition, sampled, units.value), folder / "prepared.safetensors")
+    write_json(folder / "skeletons.json", domain, graph, partition)
+    watch.save(folder, "prepare")
+
+
+def solve(folder: Path, spec: Spec, progress: Progress, device: str) -> None:
+    """Skeletons → field."""
+    if isinstance(spec.field, AutoField):
+        raise TypeError("field.method 'auto' is resolved before a design is run")
+    method = spec.field
+    watch = Stopwatch(progress)
+    given = load(Prepared, folder / "prepared.safetensors")
+    checkpoint = folder / CHECKPOINT / "training.safetensors"
+    field = watch.run(
+        "field", lambda: solve_field(given.domain, given.skeletons, method, spec.seed, device, checkpoint, progress)
+    )
+    save_field(field, folder / "field.safetensors")
+    watch.save(folder, "solve")
+
+
+def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> None:
+    """Field → surface, body, report, pictures."""
+    watch = Stopwatch(progress)
+    given = load(Prepared, folder / "prepared.safetensors")
+    field = load_field(folder / "field.safetensors")
+    domain, units = given.domain, Unit(given.units)
+    grid = domain.grid(spec.surface.resolution, padding=4)
+    asked = getattr(spec.wall, "thickness", 0.0) * units.metres / domain.scale_m
+    shell = spec.shell.thickness * units.metres / domain.scale_m if isinstance(spec.shell, ShellSpec) else 0.0
+    band = (asked / 2 or WIDEST_WALL) + BAND_VOXELS * grid.spacing
+    surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band))
+    wall = wall_thickness(spec.wall, units, domain.scale_m, surface, domain.inside(grid))
+    body = watch.run("body", lambda: make_body(domain, surface, wall, shell))
+    report = watch.run(
+        "report",
+        lambda: make_report(
+            domain,
+            sha256_of(domain_file),
+            given.partition,
+            len(given.graph.edges),
+            field,
+            surface,
+            body,
+            spec,
+            given.units,
+        ),
+    )
+    watch.run(
+        "report", lambda: results.write_meshes(folder, domain, given.graph, given.partition, surface, body, units)
+    )
+    results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))
+
+
+def evaluate(folder: Path, spec: Spec, progress: Progress) -> None:
+    """Field → solved pressure drop and heat transfer, joined to the report."""
+    raise NotImplementedError

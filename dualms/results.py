@@ -1,0 +1,106 @@
+"""The files that clients download: meshes in the domain's own units, pictures, and the report as JSON and page."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dualms.body.body import Body, Fluid, in_units
+from dualms.body.files import COLD, HOT, METAL, SIDE_COLOURS, write_3mf, write_glb, write_stl
+from dualms.cut.partition import Partition
+from dualms.domain import Domain
+from dualms.graph.graph import Graph
+from dualms.measure.report import Report
+from dualms.pictures import preview
+from dualms.spec import Unit
+from dualms.surface import Surface
+
+
+def write_meshes(
+    folder: Path, domain: Domain, graph: Graph, partition: Partition, surface: Surface, body: Body, units: Unit
+) -> None:
+    """Write surface, solid, fluids, patches, scene and preview."""
+    scaled = in_units(body, units.metres)
+    sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
+    write_stl(sheet, folder / "surface.stl")
+    write_stl(scaled.solid, folder / "solid.stl")
+    write_3mf(scaled.solid, scaled.solid_side, units, folder / "solid.3mf")
+    write_stl(scaled.hot.mesh, folder / "fluid_hot.stl")
+    write_stl(scaled.cold.mesh, folder / "fluid_cold.stl")
+    write_json(folder / "patches.json", patches(body, units))
+    colours = np.array([SIDE_COLOURS[s] for s in (-1, 0, 1)], dtype=np.uint8)[body.solid_side + 1]
+    # glTF is in metres by definition.
+    write_glb(
+        {
+            "solid": (body.solid, colours),
+            "fluid_hot": (body.hot.mesh, HOT),
+            "fluid_cold": (body.cold.mesh, COLD),
+            "surface": (surface.mesh, METAL),
+        },
+        folder / "scene.glb",
+    )
+    preview(body, folder / "preview.png")
+
+
+def patches(body: Body, units: Unit) -> dict[str, Any]:
+    """The named patches of both fluids: which triangles of their STL files, area (m²), centre and outward normal."""
+
+    def describe(fluid: Fluid) -> list[dict[str, Any]]:
+        listed = []
+        for k, name in enumerate(fluid.patches):
+            part = fluid.mesh.part(fluid.patch == k)
+            if len(part.faces) == 0:
+                continue
+            normal = part.crosses.sum(axis=0)
+            centre = np.average(part.centroids, axis=0, weights=part.areas)
+            listed.append(
+                {
+                    "name": name,
+                    "area_m2": part.area,
+                    "centre": (centre / units.metres).tolist(),
+                    "normal": (normal / max(float(np.linalg.norm(normal)), 1e-300)).tolist(),
+                    "triangles": _runs(np.flatnonzero(fluid.patch == k)),
+                }
+            )
+        return listed
+
+    return {
+        "units": units.value,
+        "triangles": "half-open ranges [first, last) of triangle indices in the STL file",
+        "hot": {"file": "fluid_hot.stl", "patches": describe(body.hot)},
+        "cold": {"file": "fluid_cold.stl", "patches": describe(body.cold)},
+    }
+
+
+def write_report(folder: Path, report: Report) -> None:
+    """Write ``report.json`` and the self-contained page ``report.html``."""
+    write_json(folder / "report.json", report.model_dump(mode="json"))
+    environment = Environment(
+        loader=PackageLoader("dualms", "pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["g"] = lambda value, digits=4: f"{value:.{digits}g}"
+    pictures = {
+        name: base64.b64encode((folder / name).read_bytes()).decode()
+        for name in ("preview.png", "evaluation.png")
+        if (folder / name).exists()
+    }
+    page = environment.get_template("report.html").render(report=report, pictures=pictures)
+    (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write JSON with sorted keys and no NaN."""
+    path.write_text(json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _runs(indices: np.ndarray[Any, np.dtype[np.int64]]) -> list[list[int]]:
+    """Sorted indices as half-open ranges."""
+    breaks = np.flatnonzero(np.diff(indices) > 1)
+    firsts = np.concatenate([indices[:1], indices[breaks + 1]])
+    lasts = np.concatenate([indices[breaks], indices[-1:]]) + 1
+    return [[int(a), int(b)] for a, b in zip(firsts, lasts, strict=True)]
