@@ -119,7 +119,7 @@ class ProblemDocument(BaseModel):
     errors: list[FieldProblem] = Field(description="The fields that do not fit, if any.")
 
 
-class Problem(Exception):
+class Problem(HTTPException):
     """A request that is answered with a problem document.
 
     Parameters
@@ -140,17 +140,16 @@ class Problem(Exception):
         errors: Sequence[FieldProblem] = (),
         headers: Mapping[str, str] | None = None,
     ) -> None:
-        super().__init__(detail)
-        self.code, self.detail, self.advice = code, detail, advice
-        self.measured, self.errors, self.headers = dict(measured or {}), list(errors), dict(headers or {})
+        super().__init__(STATUS[code], detail, dict(headers or {}))
+        self.code, self.advice = code, advice
+        self.measured, self.errors = dict(measured or {}), list(errors)
 
     def document(self) -> ProblemDocument:
         """The document that the client gets."""
-        status = STATUS.get(self.code, 422)
         return ProblemDocument(
             type=TYPE_PREFIX + self.code,
-            title=TITLES.get(self.code, HTTPStatus(status).phrase),
-            status=status,
+            title=TITLES[self.code],
+            status=self.status_code,
             detail=self.detail,
             code=self.code,
             advice=self.advice,
@@ -166,7 +165,9 @@ class Problem(Exception):
 
 def from_dualms(error: DualMSError) -> Problem:
     """An input that the library refused."""
-    return Problem(error.code, error.message, error.advice, measured=error.measured)
+    return Problem(
+        error.code if error.code in STATUS else "invalid-spec", error.message, error.advice, measured=error.measured
+    )
 
 
 def from_validation(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> Problem:
@@ -178,6 +179,12 @@ def from_validation(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> Pr
     advice = "Unknown keys are refused: check the spelling. " if unknown else ""
     advice += "GET /openapi.json has the schema."
     return Problem("invalid-request", f"{first.field}: {first.message}{more}", advice, errors=fields)
+
+
+def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """What a call's documentation says of its refusals; every call may also break (500)."""
+    content = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}}
+    return {s: {"description": HTTPStatus(s).phrase, "model": None, "content": content} for s in (*statuses, 500)}
 
 
 def install(app: FastAPI) -> None:

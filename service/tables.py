@@ -29,7 +29,7 @@ def inspection_tables(name: str, found: Inspection) -> list[Table]:
     facts.add_row("closed", "yes" if found.watertight else "no")
     for problem in found.problems:
         facts.add_row("[yellow]note[/yellow]", problem)
-    facets = Table(title='Planar facets: name one as a port by {"facet": index}', title_justify="left")
+    facets = Table(title='Facets; as a port: {"facet": index}', title_justify="left")
     for column in ("index", f"centre ({unit})", "normal", f"area ({unit}²)"):
         facets.add_column(column, justify="right")
     for f in found.facets:
@@ -78,3 +78,8 @@ class DesignProgress:
         if not self._console.is_terminal and what != self._last:
             self._console.print(f"{fraction:4.0%} {what}", highlight=False)
         self._last = what
+
+
+def progress_console() -> Console:
+    """Where progress is shown: stderr, so that stdout stays for results."""
+    return Console(stderr=True)

@@ -1,0 +1,67 @@
+"""Prometheus metrics of the API, and of the queue as the records tell it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+
+from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client.core import GaugeMetricFamily, Metric
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+LATENCIES = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0)
+
+
+class Meter:
+    """Counts and times requests by route, method and status; long polls and streams fall into the last buckets."""
+
+    def __init__(self, app: ASGIApp, registry: CollectorRegistry) -> None:
+        self.app = app
+        self.requests = Counter("dualms_http_requests", "Requests", ["route", "method", "status"], registry=registry)
+        self.seconds = Histogram(
+            "dualms_http_request_seconds", "Time to the last byte", ["route"], buckets=LATENCIES, registry=registry
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        began, status = time.perf_counter(), 500
+
+        async def noting(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+            await send(message)
+
+        try:
+            await self.app(scope, receive, noting)
+        finally:
+            route = getattr(scope.get("route"), "path", "none")
+            method = scope["method"] if scope["method"] in _METHODS else "other"
+            self.requests.labels(route, method, str(status)).inc()
+            self.seconds.labels(route).observe(time.perf_counter() - began)
+
+
+_METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+
+
+class QueueCollector:
+    """Gauges of the queue, read from the records at each scrape.
+
+    Parameters
+    ----------
+    read
+        Gives gauges: name -> (description, label names, {label values: value}).
+    """
+
+    def __init__(self, read: Callable[[], Mapping[str, tuple[str, list[str], dict[tuple[str, ...], float]]]]) -> None:
+        self._read = read
+
+    def collect(self) -> Iterator[Metric]:
+        """The gauges now."""
+        for name, (description, labels, values) in self._read().items():
+            family = GaugeMetricFamily(name, description, labels=labels)
+            for key, value in values.items():
+                family.add_metric(list(key), value)
+            yield family

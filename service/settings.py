@@ -1,0 +1,26 @@
+"""What the environment says to the service floor: the only place on this floor that reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from worker.settings import Settings as WorkerSettings
+
+
+class Settings(BaseSettings):
+    """How the API behaves; each from ``DUALMS_<NAME>`` or its default. Times are in seconds."""
+
+    model_config = SettingsConfigDict(env_prefix="DUALMS_", frozen=True, extra="ignore", allow_inf_nan=False)
+
+    max_wait_s: float = Field(60.0, ge=0, le=600, description="Longest answer to Prefer: wait.")
+    watch_s: float = Field(0.2, gt=0, le=10, description="Between two looks for changes of the designs waited for.")
+    sse_ping_s: int = Field(15, ge=1, le=300, description="Between two comments that keep an event stream open.")
+    presigned_s: int = Field(600, ge=10, le=86400, description="Life of an address that downloads from S3 directly.")
+
+
+def worker_settings(data: Path | None = None) -> WorkerSettings:
+    """Settings of the floor below, with the data folder of the command line if one is given."""
+    return WorkerSettings(data_dir=data) if data is not None else WorkerSettings()
