@@ -1,0 +1,1 @@
+"""The constrained connected maximum cut (paper, section 4.2)."""

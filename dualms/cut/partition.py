@@ -1,0 +1,100 @@
+"""The partition of the sites between the two fluids: a constrained connected maximum cut (paper, section 4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dualms.cut.anneal import anneal
+from dualms.cut.bound import upper_bound
+from dualms.cut.constraints import cut_weight, problem_of, violations
+from dualms.cut.greedy import greedy
+from dualms.cut.start import first_partition
+from dualms.graph.graph import Graph
+from dualms.grid import Array
+from dualms.progress import Progress, Silent
+from dualms.spec import PartitionSpec
+
+PROPOSALS_PER_SECOND = 30_000_000  # one core of a 2020s laptop; a fixed figure, so that a seed means the same anywhere
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Which fluid each site belongs to.
+
+    Parameters
+    ----------
+    labels
+        (N,) int8: 1 hot, -1 cold.
+    cut_weight, total_weight, upper_bound
+        Weight of the edges between the fluids, of all edges, and a proven bound that no partition exceeds.
+    iterations
+        Changes of side (``greedy``) or proposed changes (``anneal``).
+    history
+        (K, 2) float64, iteration and best cut weight so far.
+    method
+        ``greedy`` or ``anneal``.
+    """
+
+    labels: NDArray[np.int8]
+    cut_weight: float
+    total_weight: float
+    upper_bound: float
+    iterations: int
+    history: Array
+    method: str
+
+    def __post_init__(self) -> None:
+        if self.labels.ndim != 1 or not np.isin(self.labels, (-1, 1)).all():
+            raise ValueError("labels must be 1 or -1")
+        if not 0 <= self.cut_weight <= self.upper_bound * (1 + 1e-9) + 1e-9:
+            raise ValueError("a cut's weight must lie between 0 and its bound")
+        if self.history.ndim != 2 or self.history.shape[1] != 2:
+            raise ValueError("a history is (K, 2)")
+
+
+def max_cut(graph: Graph, spec: PartitionSpec, seed: int, *, progress: Progress | None = None) -> Partition:
+    """Divide the sites between the fluids so that as much edge weight as possible lies between them.
+
+    Parameters
+    ----------
+    graph
+        Sites, edges, weights, and the ports' demands.
+    spec
+        Method and search budget.
+    seed
+        Seed of the search.
+    progress
+        Where to report to.
+
+    Raises
+    ------
+    InfeasiblePartition
+        If no partition was found that keeps the constraints.
+    """
+    progress = progress or Silent()
+    problem = problem_of(graph)
+    labels = first_partition(graph, problem, seed)
+    before = cut_weight(graph, labels)
+    climbed, gains = greedy(problem, labels)
+    history = np.column_stack([np.arange(len(gains) + 1), before + np.concatenate([[0.0], np.cumsum(gains)])])
+    iterations = len(gains)
+    progress.report("partition", 0.1, f"Algorithm 1: cut {cut_weight(graph, climbed):.6g}")
+    if spec.method == "anneal":
+        iterations = max(1, int(spec.seconds * PROPOSALS_PER_SECOND))
+        found, steps = anneal(problem, labels, iterations, seed)
+        history = np.column_stack([steps[:, 0], before + steps[:, 1]])
+        if cut_weight(graph, found) >= cut_weight(graph, climbed):
+            climbed = found
+        else:  # a budget too small to beat Algorithm 1
+            history[-1, 1] = cut_weight(graph, climbed)
+    progress.report("partition", 0.5, f"cut {cut_weight(graph, climbed):.6g}")
+    broken = violations(graph, climbed)
+    if broken:
+        raise AssertionError(f"the search broke a constraint: {broken[0]}")
+    weight, total = cut_weight(graph, climbed), float(graph.weights.sum())
+    bound = upper_bound(graph)
+    progress.report("partition", 1.0, f"cut {weight:.6g}, at most {bound:.6g}")
+    return Partition(climbed, weight, total, bound, iterations, history, spec.method)
