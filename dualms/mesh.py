@@ -283,7 +283,7 @@ def _look_before_loading(path: Path, suffix: str, max_faces: int) -> None:
             raise UnreadableFile("The 3MF archive is damaged.", advice="Export it again.") from None
         if unzipped > MAX_UNZIPPED_BYTES:
             raise TooLarge(
-                f"The 3MF archive unpacks to {unzipped / 1e6:,.0f} MB; the limit is {MAX_UNZIPPED_BYTES / 1e6:,.0f} MB.",
+                f"The 3MF archive unpacks to {unzipped / 1e6:,.0f} MB; the limit is {MAX_UNZIPPED_BYTES / 1e6:.0f} MB.",
                 advice="Export it with a coarser tessellation.",
                 measured={"unzipped_bytes": unzipped},
             )
@@ -300,7 +300,7 @@ def _load(path: Path, suffix: str) -> trimesh.Trimesh:
         mesh = loaded.to_mesh()
     except MemoryError:
         raise
-    except Exception as error:  # noqa: BLE001 - loaders raise anything; the cause is named, not hidden
+    except Exception as error:  # loaders raise anything; the cause is named, not hidden
         raise UnreadableFile(
             f"The {suffix[1:].upper()} file could not be read ({type(error).__name__}).",
             advice="Export it again, as binary STL if in doubt.",
@@ -357,8 +357,8 @@ def _refuse_unsound(vertices: Array, faces: NDArray[np.int64]) -> None:
     balance = np.bincount(inverse, weights=np.where(forward, 1, -1))
     if (repeated > 1).any():
         raise InvalidMesh(
-            f"Neighbouring triangles are oriented against each other along {int((balance != 0).sum())} edges, first near "
-            f"{_where(vertices, directed, (balance != 0)[inverse])}.",
+            f"Neighbouring triangles are oriented against each other along {int((balance != 0).sum())} edges, "
+            f"first near {_where(vertices, directed, (balance != 0)[inverse])}.",
             advice="Recompute the normals to point outward and export again.",
             measured={"edges": int((balance != 0).sum())},
         )
@@ -375,7 +375,7 @@ def _refuse_unsound(vertices: Array, faces: NDArray[np.int64]) -> None:
     volume, size = _volume(vertices, faces), np.ptp(vertices, axis=0)
     if abs(volume) < 1e-6 * size.max() ** 3:
         raise InvalidMesh(
-            f"The body encloses next to no volume ({volume:.3g} units³ in a box of {np.round(size, 6).tolist()} units).",
+            f"The body encloses next to no volume: {volume:.3g} units³ in a box of {np.round(size, 6).tolist()} units.",
             advice="Send a solid body, not a sheet.",
             measured={"volume": volume},
         )

@@ -22,10 +22,10 @@ HOT: Colour = (0.80, 0.20, 0.12)
 COLD: Colour = (0.10, 0.32, 0.72)
 METAL: Colour = (0.62, 0.63, 0.66)
 CUT: Colour = (0.90, 0.90, 0.88)
-SAMPLES_PER_PIXEL = 24
+SAMPLES_PER_PIXEL = 12
 
 
-def preview(body: Body, path: Path, width: int = 1600) -> None:
+def preview(body: Body, path: Path, width: int = 1280) -> None:
     """Write a picture with three views: cut open, both fluids, and the closed solid.
 
     Parameters
@@ -40,7 +40,7 @@ def preview(body: Body, path: Path, width: int = 1600) -> None:
     # Mitsuba's near plane and ray offsets are absolute: bring the body to size 1.
     body = in_units(body, float(np.ptp(body.solid.vertices, axis=0).max()))
     half = width // 2
-    wide = int(0.56 * width)
+    wide = int(0.5 * width)
     views = (
         ("cut open", _cut_open(body), (width, wide)),
         ("hot and cold fluid", [(body.hot.mesh, HOT), (body.cold.mesh, COLD)], (half, int(0.6 * half))),
@@ -144,7 +144,7 @@ def _camera(points: NDArray[np.float64]) -> dict[str, Any]:
     if np.linalg.det(np.stack([axes[long], axes[side], axes[up]])) < 0:
         direction = 1.6 * axes[up] + 1.0 * axes[side] - 0.25 * axes[long]
     direction /= np.linalg.norm(direction)
-    origin = target + 3.9 * radius * direction
+    origin = target + 3.4 * radius * direction
     right = 0.8 * radius * (axes[long] + 0.6 * axes[side])
     return {"origin": origin.tolist(), "target": target.tolist(), "up": axes[up].tolist(), "right": right}
 

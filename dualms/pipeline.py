@@ -92,8 +92,8 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     asked = getattr(spec.wall, "thickness", 0.0) * units.metres / domain.scale_m
     shell = spec.shell.thickness * units.metres / domain.scale_m if isinstance(spec.shell, ShellSpec) else 0.0
     band = (asked / 2 or WIDEST_WALL) + BAND_VOXELS * grid.spacing
-    surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band))
-    wall = wall_thickness(spec.wall, units, domain.scale_m, surface, domain.inside(grid))
+    surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell))
+    wall = wall_thickness(spec.wall, units, domain, surface)
     body = watch.run("body", lambda: make_body(domain, surface, wall, shell))
     report = watch.run(
         "report",

@@ -139,9 +139,7 @@ def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Po
         center, normal, area = _mean(name, samples[covered], mesh.normals[triangle[covered]], shares)
         shape, extent = _extent(mesh, spec, units)
         touched = np.unique(triangle[covered])
-        ports.append(
-            Port(name, fluid, inlet, shared, samples[covered], center, normal, area, touched, shape, extent)
-        )
+        ports.append(Port(name, fluid, inlet, shared, samples[covered], center, normal, area, touched, shape, extent))
     _refuse_overlaps(ports, [spec for *_, spec in listed], mesh)
     return tuple(ports)
 

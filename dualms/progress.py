@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 
-class Cancelled(Exception):  # noqa: N818 - a signal, not an error
-    """Raised out of ``Progress.report`` when the caller no longer wants the result."""
+class Cancelled(Exception):
+    """Raised out of ``Progress.report`` when the caller no longer wants the result: a signal, not an error."""
 
 
 class Progress(Protocol):

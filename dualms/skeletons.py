@@ -68,13 +68,15 @@ def skeletons(domain: Domain, graph: Graph, partition: Partition) -> Skeletons:
     joined: dict[int, list[Array]] = {1: [bones[1]], -1: [bones[-1]]}
     nearest = cKDTree(graph.sites)
     for port in domain.ports:
+        other = trees[-port.fluid]
         if port.shared:
-            extra = _opening_stubs(port, graph, labels, nearest)
+            stubs = _opening_stubs(port, graph, labels, nearest)
         else:
-            extra = np.concatenate([_plug(port), _port_stubs(port, graph, labels, nearest)])
-            extra = extra[domain.signed_distance(extra) > -0.5 * SPACING]
-        clear = trees[-port.fluid].query(extra)[0] > CLEARANCE if len(extra) else np.zeros(0, dtype=bool)
-        joined[port.fluid].append(extra[clear])
+            stubs = _port_stubs(port, graph, labels, nearest)
+            plug = _plug(port)
+            plug = plug[domain.signed_distance(plug) > -0.5 * SPACING]
+            joined[port.fluid].append(plug[other.query(plug)[0] > CLEARANCE])
+        joined[port.fluid] += [_clear_part(sample_segments(*stub), other) for stub in stubs]
     hot, cold = (_thinned(np.concatenate(joined[side])) for side in (1, -1))
     return Skeletons(hot, cold, edges[1], edges[-1])
 
@@ -113,22 +115,27 @@ def write_json(path: Path, domain: Domain, graph: Graph, partition: Partition) -
     partial.replace(path)
 
 
-def _opening_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKDTree) -> Array:
+def _clear_part(samples: Array, other: cKDTree) -> Array:
+    """A stub up to where it comes too close to the other fluid's skeleton."""
+    close = other.query(samples)[0] <= CLEARANCE
+    return samples[: int(close.argmax())] if close.any() else samples
+
+
+def _opening_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKDTree) -> list[tuple[Array, Array]]:
     """Straight stubs from the fluid's sites at a shared opening to the part of it in their own cells."""
     sites = nearest.query(port.samples)[1]
-    starts, ends = [], []
+    stubs = []
     for site in np.unique(sites):
         if labels[site] != port.fluid:
             continue
         own = port.samples[sites == site]
         # The middle of the cell's part of the opening; a segment from a site to its own cell stays in the cell.
         middle = own[((own - own.mean(axis=0)) ** 2).sum(axis=1).argmin()]
-        starts.append(graph.sites[site])
-        ends.append(middle)
-    return sample_segments(np.array(starts).reshape(-1, 3), np.array(ends).reshape(-1, 3))
+        stubs.append((graph.sites[site : site + 1], middle[None]))
+    return stubs
 
 
-def _port_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKDTree) -> Array:
+def _port_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKDTree) -> list[tuple[Array, Array]]:
     """Straight stubs from a dedicated port to the sites of its fluid that it lies next to."""
     own = np.unique(nearest.query(port.samples)[1])
     own = own[labels[own] == port.fluid]
@@ -136,7 +143,7 @@ def _port_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKD
         same = np.flatnonzero(labels == port.fluid)
         own = same[[((graph.sites[same] - port.center) ** 2).sum(axis=1).argmin()]]
     near = cKDTree(port.samples).query(graph.sites[own])[1]
-    return sample_segments(graph.sites[own], port.samples[near])
+    return [(graph.sites[v : v + 1], port.samples[k : k + 1]) for v, k in zip(own, near, strict=True)]
 
 
 def _plug(port: Port) -> Array:

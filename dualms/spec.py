@@ -183,12 +183,37 @@ class PhaseField(Model):
     )
 
 
+NEURAL_PRESETS: dict[str, dict[str, object]] = {
+    "paper": {},
+    "released": {"hidden_layers": 4},
+    "cpu": {
+        "steps": 1000,
+        "points": 2048,
+        "learning_rate": 2e-3,
+        "decay_every": 50,
+        "gradient": "secants",
+        "connect": True,
+    },
+}
+"""What a preset sets where the specification is silent; everything else has the paper's value."""
+
+
 class NeuralField(Model):
     """The paper's network and losses (section 5)."""
 
     method: Literal["neural"]
+    preset: Literal["paper", "released", "cpu"] = Field(
+        "paper",
+        description="Defaults of the other fields: 'paper'; 'released', the authors' code where it differs (4 hidden "
+        "layers); 'cpu' (ours), a budget that ends in minutes on two cores.",
+    )
     steps: int = Field(51_200, ge=1, le=1_000_000, description="Training steps. Paper, section 6.1: 5.12e4.")
-    points: int = Field(32_768, ge=64, le=1_048_576, description="Points per step. Paper, section 6.1: 32,768.")
+    points: int = Field(
+        32_768,
+        ge=64,
+        le=1_048_576,
+        description="Skeleton and domain points per step, each. Paper, section 6.1: 32,768.",
+    )
     features: int = Field(2048, ge=16, le=8192, description="Fourier features (sine and cosine). Paper, section 5.1.")
     fourier_scale: float = Field(2.0, gt=0, le=100, description="Std of the frequencies (1/unit). Released code: 2.")
     hidden_layers: int = Field(3, ge=1, le=8, description="Hidden layers. Paper: 3 (released code: 4).")
@@ -199,6 +224,21 @@ class NeuralField(Model):
     learning_rate: float = Field(3e-5, gt=0, le=1, description="Adam's first step size. Paper: 3e-5.")
     decay: float = Field(0.9, gt=0, le=1, description="Factor on the learning rate. Released code: 0.9.")
     decay_every: int = Field(5000, ge=1, description="Steps between two decays. Released code: 5,000.")
+    gradient: Literal["exact", "secants"] = Field(
+        "exact",
+        description="Total variation by second derivatives, or by secants along random lines (ours, cheaper).",
+    )
+    connect: bool = Field(
+        False, description="Late in training, teach stray pockets their surrounding fluid (ours; the paper has none)."
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_preset(cls, given: object) -> object:
+        if not isinstance(given, dict):
+            return given
+        preset = given.get("preset", "paper")
+        return {**NEURAL_PRESETS.get(preset, {}), **given} if isinstance(preset, str) else given
 
 
 FieldSpec = Annotated[AutoField | PhaseField | NeuralField, Field(discriminator="method")]

@@ -31,22 +31,27 @@ class Surface:
     ----------
     mesh
         Open mesh in metres; its normals point to the cold side.
+    sheet
+        The unclipped surface, unit-cube frame.
     distance
-        Signed distance to the unclipped surface on ``grid``, unit-cube units, positive on the hot side, clipped to
-        ±``band``.
+        Signed distance to ``sheet`` on ``grid``, unit-cube units, positive on the hot side, clipped to ±``band``.
+    depth
+        Signed distance to the envelope on ``grid``, positive inside, clipped to a band of its own.
     grid
-        Its grid, unit-cube frame.
+        Their grid, unit-cube frame.
     band
         Where ``distance`` is exact.
     """
 
     mesh: TriangleMesh
+    sheet: TriangleMesh
     distance: Values
+    depth: Values
     grid: Grid
     band: float
 
 
-def extract_surface(domain: Domain, values: Values, grid: Grid, band: float) -> Surface:
+def extract_surface(domain: Domain, values: Values, grid: Grid, band: float, shell: float = 0.0) -> Surface:
     """Take the zero level set of a field inside the domain.
 
     Parameters
@@ -58,7 +63,9 @@ def extract_surface(domain: Domain, values: Values, grid: Grid, band: float) -> 
     grid
         Must cover the domain.
     band
-        Half width in which exact distances are wanted, unit-cube units.
+        Half width in which exact distances to the surface are wanted, unit-cube units.
+    shell
+        Depth below the envelope down to which exact distances to it are wanted.
 
     Raises
     ------
@@ -68,14 +75,14 @@ def extract_surface(domain: Domain, values: Values, grid: Grid, band: float) -> 
     whole = level_set(values, grid)
     if len(whole.faces) == 0:
         raise _empty()
-    wanted = domain.depth(grid, band + grid.spacing) > -band
-    distance = signed_distance(whole, values, grid, band, wanted)
+    depth = domain.depth(grid, max(band + grid.spacing, shell + 2 * grid.spacing))
+    distance = signed_distance(whole, values, grid, band, depth > -band)
     hot = Solid.of(whole)
     clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
     part = clipped.part(origin == hot.origin)
     if len(part.faces) == 0:
         raise _empty()
-    return Surface(to_metres(domain, part), distance, grid, band)
+    return Surface(to_metres(domain, part), whole, distance, depth, grid, band)
 
 
 def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
@@ -96,11 +103,11 @@ def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
         In the grid's frame; empty where the values never exceed the level.
     """
     values = np.array(values - np.float32(level), dtype=np.float32)
-    scale = max(float(np.abs(values).max()), 1e-30)
+    scale: float = max(float(np.abs(values).max()), 1e-30)
     # A value of exactly zero would put several vertices on one grid point: triangles without area.
     tiny = np.float32(1e-5 * min(scale, grid.spacing))
     values = np.where(np.abs(values) < tiny, np.where(values > 0, tiny, -tiny), values)
-    cap = np.float32(-max(scale, tiny))
+    cap = np.float32(-scale)
     for axis in range(3):
         edge: list[slice | list[int]] = [slice(None)] * 3
         edge[axis] = [0, -1]
@@ -125,7 +132,7 @@ def signed_distance(
         near |= np.pad(change, [(0, 1) if k == axis else (0, 0) for k in range(3)])
         near |= np.pad(change, [(1, 0) if k == axis else (0, 0) for k in range(3)])
     reach = wanted & (ndimage.distance_transform_edt(~near) <= band / grid.spacing + 1.0)
-    distance = np.where(positive, np.float32(band), np.float32(-band))
+    distance = np.where(positive, band, -band).astype(np.float32)
     squared, _, _ = igl.point_mesh_squared_distance(grid.points(reach), surface.vertices, surface.faces)
     exact = np.minimum(np.sqrt(squared), band)
     distance[reach] = np.where(positive[reach], exact, -exact)

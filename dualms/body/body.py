@@ -82,7 +82,7 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
     domain
         The envelope and its ports.
     surface
-        The separating surface with the distance to it.
+        The separating surface, with distances to it and, down to the shell, to the envelope.
     wall, shell
         Thicknesses, unit-cube units; a shell of 0 is none.
 
@@ -94,14 +94,13 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
         If nothing is left, or a boolean fails.
     """
     envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
-    depth = domain.depth(surface.grid, shell + 2 * surface.grid.spacing) if shell else None
     made: dict[int, tuple[Solid, Fluid]] = {}
     side_of: dict[int, int] = {}
     block = envelope
     for sign, side in zip((1, -1), channels(surface, wall), strict=True):
         room = side
-        if depth is not None:
-            free = core(domain, depth, surface.grid, shell, sign)
+        if shell:
+            free = core(domain, surface, shell, sign)
             side_of[free.origin] = sign
             room = side & free
         side_of[side.origin] = sign

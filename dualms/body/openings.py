@@ -13,7 +13,7 @@ from dualms.domain import Domain
 from dualms.errors import WallTooThick
 from dualms.grid import Grid
 from dualms.ports import Port
-from dualms.surface import level_set
+from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
 
 Values = NDArray[np.float32]
@@ -21,7 +21,7 @@ SMOOTH = np.cos(np.radians(30))  # neighbours that turn by less belong to the sa
 SAME_SIDE = np.cos(np.radians(45))
 
 
-def core(domain: Domain, depth: Values, grid: Grid, shell: float, fluid: int) -> Solid:
+def core(domain: Domain, surface: Surface, shell: float, fluid: int) -> Solid:
     """Where a fluid may be: deeper than the shell, or under one of its ports.
 
     Under a port the shell still stands along the envelope's other faces, so an opening that takes a whole end face
@@ -31,10 +31,8 @@ def core(domain: Domain, depth: Values, grid: Grid, shell: float, fluid: int) ->
     ----------
     domain
         The envelope and its ports.
-    depth
-        Distance to the boundary on ``grid``, positive inside, exact up to ``shell`` and two voxels more.
-    grid
-        Its grid.
+    surface
+        Holds the depth below the envelope, exact down to ``shell`` and two voxels more.
     shell
         Thickness, unit-cube units.
     fluid
@@ -50,7 +48,8 @@ def core(domain: Domain, depth: Values, grid: Grid, shell: float, fluid: int) ->
     WallTooThick
         If the shell fills the domain.
     """
-    free = depth - np.float32(shell)
+    grid = surface.grid
+    free = surface.depth - np.float32(shell)
     if not (free > 0).any():
         raise WallTooThick(
             f"A shell of {shell:.3g} of the domain's longest side fills the domain.",

@@ -60,9 +60,10 @@ def measure_channel(domain: Domain, room: Mask, grid: Grid, fluid: int) -> Chann
     Distances are right to half a voxel.
     """
     regions, _ = ndimage.label(room)
+    ports = [port for port in domain.ports if port.fluid == fluid]
     inlets, outlets = (
-        [_at_port(port.samples - grid.spacing * port.normal, room, grid) for port in domain.ports if wanted(port)]
-        for wanted in (lambda p: p.fluid == fluid and p.inlet, lambda p: p.fluid == fluid and not p.inlet)
+        [_at_port(port.samples - grid.spacing * port.normal, room, grid) for port in ports if port.inlet == inlet]
+        for inlet in (True, False)
     )
     touched = [set(regions[tuple(voxels.T)].tolist()) for voxels in (*inlets, *outlets)]
     common = set.intersection(*touched) - {0}

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from dualms import __version__
 from dualms.body.body import Body, Fluid
 from dualms.body.patches import INTERFACE
+from dualms.body.walls import wall_share
 from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.field.field import Field
@@ -197,7 +198,7 @@ def make_report(
         "shell_thickness_m": body.shell_m,
         "solid_volume_m3": solid_volume,
         "solid_volume_fraction": solid_volume / volume,
-        "wall_volume_fraction": _wall_share(domain, surface, body),
+        "wall_volume_fraction": wall_share(surface, body.wall_m / domain.scale_m / 2),
         "volume_closure_error": closure,
         "fluids": fluids,
         "leak_free": body.leak_m3 == 0.0,
@@ -249,22 +250,14 @@ def _fluid(fluid: Fluid, channel: Channel, scale_m: float) -> FluidFigures:
 
 
 def _channel(domain: Domain, surface: Surface, body: Body, sign: int) -> Channel:
-    grid = surface.grid
-    shell = body.shell_m / domain.scale_m
-    depth = domain.depth(grid, shell + 2 * grid.spacing)
-    room = (sign * surface.distance > body.wall_m / domain.scale_m / 2) & (depth > shell)
-    return measure_channel(domain, room, grid, sign)
+    wall, shell = body.wall_m / domain.scale_m, body.shell_m / domain.scale_m
+    room = (sign * surface.distance > wall / 2) & (surface.depth > shell)
+    return measure_channel(domain, room, surface.grid, sign)
 
 
 def _wall(body: Body, seed: int) -> WallFigures:
     low, high = np.quantile(wall_thicknesses(body, seed), (0.01, 0.99))
     return WallFigures(thickness_m=body.wall_m, thickness_min_m=float(low), thickness_max_m=float(high))
-
-
-def _wall_share(domain: Domain, surface: Surface, body: Body) -> float:
-    """Share of the domain's voxels within half a thickness of the surface."""
-    inside = domain.inside(surface.grid)
-    return float((np.abs(surface.distance[inside]) < body.wall_m / domain.scale_m / 2).mean())
 
 
 def _curvature(
