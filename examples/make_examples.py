@@ -39,7 +39,10 @@ def rounded(corners: Array, radius: float) -> Array:
     """Polyline (K, 3) through ``corners`` with arcs of ``radius`` in place of the corners."""
     points = [corners[0]]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
-        back, ahead = (before - corner) / np.linalg.norm(before - corner), (after - corner) / np.linalg.norm(after - corner)
+        back, ahead = (
+            (before - corner) / np.linalg.norm(before - corner),
+            (after - corner) / np.linalg.norm(after - corner),
+        )
         half = np.arccos(np.clip(back @ ahead, -1, 1)) / 2
         bisector = (back + ahead) / np.linalg.norm(back + ahead)
         center = corner + bisector * radius / np.sin(half)
@@ -76,7 +79,9 @@ def pipe(line: Array, radius: float, segments: int = 72) -> trimesh.Trimesh:
     circle = manifold3d.CrossSection.circle(radius, segments)
     bent = manifold3d.Manifold.extrude(circle, float(lengths[-1]), divisions).warp_batch(bend)
     mesh = bent.to_mesh64()
-    return trimesh.Trimesh(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(int), process=False)
+    return trimesh.Trimesh(
+        np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(int), process=False
+    )
 
 
 if __name__ == "__main__":

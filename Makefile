@@ -1,0 +1,60 @@
+# The two commands of the README are `make demo` and `make serve`; everything else is for those who change the code.
+PYTHON ?= python3
+# The newest release that we test with; any torch that fits your machine will do: make install TORCH=torch
+TORCH ?= torch==2.13.0
+BIN := .venv/bin
+
+.PHONY: install demo serve test test-all check format openapi examples bench bench-hydraulics bench-field bench-cut compose-check clean
+
+install: .venv/.installed
+
+.venv/.installed: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet "$(TORCH)"
+	$(BIN)/pip install --quiet --editable '.[cfd,dev]'
+	touch $@
+
+demo: install
+	$(BIN)/python examples/demo.py
+
+serve: install
+	$(BIN)/dualms serve
+
+test: install
+	$(BIN)/python -m pytest
+
+# Everything that this machine can run: slow tests, and those that need OpenFOAM or Chromium where they are installed.
+test-all: install
+	$(BIN)/python -m pytest -m "not gpu"
+
+check: install
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest
+
+format: install
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+openapi: install
+	$(BIN)/python -m service.openapi
+
+examples: install
+	$(BIN)/python examples/make_examples.py
+
+bench: bench-cut bench-field
+
+bench-cut: install
+	$(BIN)/python benchmarks/cut.py
+
+bench-field: install
+	$(BIN)/python benchmarks/field.py
+
+bench-hydraulics: install
+	$(BIN)/python benchmarks/hydraulics.py
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build *.egg-info demo-output
