@@ -11,8 +11,10 @@ import numpy as np
 from dualms.cut.constraints import Labels, Problem, flip, may_leave, new_state, stays_connected
 from dualms.grid import Array
 
-HOT = 0.45  # first and last temperature over the mean edge weight
-COLD = 0.06
+# First and last temperature over the mean edge weight: the best of a scan of 9 pairs on U-bend graphs of 300 and 800
+# sites, a = 1 and 5, budgets of 0.02 to 2 s.
+HOT = 0.6
+COLD = 0.15
 
 
 def anneal(problem: Problem, labels: Labels, proposals: int, seed: int, stretch: int = 400) -> tuple[Labels, Array]:

@@ -17,7 +17,7 @@ from dualms.grid import Array
 from dualms.progress import Progress, Silent
 from dualms.spec import PartitionSpec
 
-PROPOSALS_PER_SECOND = 30_000_000  # one core of a 2020s laptop; a fixed figure, so that a seed means the same anywhere
+PROPOSALS_PER_SECOND = 12_000_000  # about one core of a laptop; a fixed figure, so that a seed means the same anywhere
 
 
 @dataclass(frozen=True)

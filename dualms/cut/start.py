@@ -215,9 +215,7 @@ def _repair(problem, state, seed, tries):  # type: ignore[no-untyped-def]
     """Random walk that gives every site its neighbours and every opening its sites; returns what is still missing."""
     count = state.labels.size
     random = np.uint64(seed * 2 + 1) * np.uint64(0x9E3779B97F4A7C15)
-    missing = 0
-    for v in range(count):
-        missing += max(0, LEAST_DEGREE - state.same[v])
+    missing = np.maximum(0, LEAST_DEGREE - state.same).sum()
     for _ in range(tries):
         lacking = np.int64(-1)
         for o in range(problem.least.size):

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from dualms.domain import Mask
+from dualms.domain import Domain, Mask
 from dualms.grid import Array, Grid
 
 Cells = NDArray[np.int32]
@@ -59,16 +58,18 @@ def cell_adjacency(volume: Cells, least_faces: int = 1) -> Edges:
     return np.stack([pairs // count, pairs % count], axis=1)
 
 
-def inside_edges(grid: Grid, inside: Mask, sites: Array, edges: Edges, slack: int = 1) -> NDArray[np.bool_]:
-    """(E,) which straight edges stay in the domain, but for ``slack`` voxels at its boundary."""
-    near = ndimage.binary_dilation(inside, ndimage.generate_binary_structure(3, 2), iterations=slack)
+def inside_edges(
+    domain: Domain, grid: Grid, inside: Mask, sites: Array, edges: Edges, slack: float = 0.4
+) -> NDArray[np.bool_]:
+    """(E,) which straight edges stay in the domain, or leave it by less than ``slack`` voxels."""
     lengths = np.linalg.norm(sites[edges[:, 1]] - sites[edges[:, 0]], axis=1)
     pieces = np.maximum(np.ceil(lengths / (0.5 * grid.spacing)).astype(int), 1)
     owner = np.repeat(np.arange(len(edges)), pieces + 1)
     within = np.arange(len(owner)) - np.repeat(np.cumsum(pieces + 1) - (pieces + 1), pieces + 1)
     share = (within / pieces[owner])[:, None]
     points = sites[edges[owner, 0]] * (1 - share) + sites[edges[owner, 1]] * share
-    outside = ~near[tuple(grid.nearest(points).T)]
+    outside = ~inside[tuple(grid.nearest(points).T)]
+    outside[outside] = domain.signed_distance(points[outside]) < -slack * grid.spacing
     return np.asarray(np.bincount(owner[outside], minlength=len(edges)) == 0)
 
 

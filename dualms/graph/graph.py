@@ -19,7 +19,7 @@ from dualms.progress import Progress, Silent
 from dualms.spec import GraphSpec
 
 VOXELS_PER_SITE = 400  # about 7 voxels across a cell: faces that matter to the cut are several voxels wide
-RESOLUTIONS = (64, 220)
+RESOLUTIONS = (40, 220)
 PORT_SHARE = 0.2  # a site is pinned to a dedicated port where its cell covers this share of the port
 
 Indices = NDArray[np.int64]
@@ -113,7 +113,7 @@ def site_graph(
     cells = connected_cells(inside, tessellation.cells, spec.sites)
     sites = sites_in_cells(grid, cells, tessellation.sites)
     edges = cell_adjacency(cells)
-    edges = edges[inside_edges(grid, inside, sites, edges)]
+    edges = edges[inside_edges(domain, grid, inside, sites, edges)]
     _refuse_parts(edges, spec.sites)
     progress.report("graph", 0.9, f"{len(edges)} edges")
     weights = edge_weights(sites, edges, flow, spec)
