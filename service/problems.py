@@ -12,9 +12,11 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
 from dualms.errors import DualMSError
+from worker.artifacts import StoreFull
 
 log = logging.getLogger("dualms.service")
 
@@ -41,7 +43,6 @@ STATUS: dict[str, int] = {
     "unreadable-file": 422,
     "invalid-mesh": 422,
     "missing-units": 422,
-    "inspection-limits": 422,
     # the specification
     "invalid-spec": 422,
     "port-not-on-boundary": 422,
@@ -51,10 +52,9 @@ STATUS: dict[str, int] = {
     "wall-too-thick": 422,
     "evaluation-unavailable": 422,
     # the service
-    "domain-in-use": 409,
-    "design-running": 409,
     "internal-error": 500,
-    "queue-unavailable": 503,
+    "store-unavailable": 503,
+    "storage-full": 507,
     "not-ready": 503,
 }
 TITLES: dict[str, str] = {
@@ -74,7 +74,6 @@ TITLES: dict[str, str] = {
     "unreadable-file": "The file cannot be read",
     "invalid-mesh": "The mesh cannot be an envelope",
     "missing-units": "The length unit is missing",
-    "inspection-limits": "Reading the file took more than is allowed",
     "invalid-spec": "The specification contradicts itself or the domain",
     "port-not-on-boundary": "A port misses the domain's boundary",
     "overlapping-ports": "Two ports overlap",
@@ -82,10 +81,9 @@ TITLES: dict[str, str] = {
     "infeasible-partition": "No partition meets the constraints",
     "wall-too-thick": "The wall leaves no room",
     "evaluation-unavailable": "No worker can solve the flow",
-    "domain-in-use": "The domain is in use",
-    "design-running": "The design still runs",
     "internal-error": "Something broke in the service",
-    "queue-unavailable": "The queue cannot be reached",
+    "store-unavailable": "The store cannot be reached",
+    "storage-full": "The service has no room left",
     "not-ready": "The service is not ready",
 }
 _BY_HTTP = {
@@ -213,6 +211,18 @@ def install(app: FastAPI) -> None:
         headers = dict(error.headers or {})
         detail = str(error.detail) if code == "malformed-request" else f"{request.method} {request.url.path}"
         return Problem(code, detail, "GET /openapi.json lists the calls.", headers=headers).response()
+
+    @app.exception_handler(OperationalError)
+    async def _store_away(request: Request, error: OperationalError) -> Response:
+        log.error("the store does not answer: %s", error)
+        advice = "Try again in a moment."
+        problem = Problem("store-unavailable", "The records cannot be reached.", advice, headers={"Retry-After": "5"})
+        return problem.response()
+
+    @app.exception_handler(StoreFull)
+    async def _store_full(request: Request, error: StoreFull) -> Response:
+        log.error("%s", error)
+        return Problem("storage-full", "There is no room for the file.", "Tell whoever runs the service.").response()
 
     @app.exception_handler(Exception)
     async def _unexpected(request: Request, error: Exception) -> Response:

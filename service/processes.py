@@ -5,7 +5,6 @@ The parent is the lock's holder and nothing else; whatever it starts dies with i
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -131,12 +130,6 @@ class Child:
             return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
-
-
-def die_with_parent() -> None:
-    """Ask the kernel to end this process when its parent ends (Linux)."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(1, int(signal.SIGTERM))
 
 
 def _family(pid: int) -> list[psutil.Process]:

@@ -7,7 +7,12 @@ from pathlib import Path
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from worker.routing import QUEUES
 from worker.settings import Settings as WorkerSettings
+
+
+class UnknownQueue(ValueError):
+    """A queue that is none of ours."""
 
 
 class Settings(BaseSettings):
@@ -24,3 +29,18 @@ class Settings(BaseSettings):
 def worker_settings(data: Path | None = None) -> WorkerSettings:
     """Settings of the floor below, with the data folder of the command line if one is given."""
     return WorkerSettings(data_dir=data) if data is not None else WorkerSettings()
+
+
+def queue_names(text: str) -> tuple[str, ...]:
+    """Names with commas between, in order, each once.
+
+    Raises
+    ------
+    UnknownQueue
+        If one is not a queue.
+    """
+    names = tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    unknown = [name for name in names if name not in QUEUES]
+    if unknown or not names:
+        raise UnknownQueue(f"'{text}' names no queues" if not names else f"There is no queue '{unknown[0]}'")
+    return names

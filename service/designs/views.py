@@ -18,29 +18,29 @@ from service.designs.schemas import (
     Status,
 )
 from service.times import iso
-from worker.tables import Design, DesignArtifact
+from worker.records import ArtifactRecord, DesignRecord
 
 FINAL = frozenset({Status.SUCCEEDED, Status.FAILED, Status.CANCELLED})
 
 
-def etag(row: Design) -> str:
+def etag(row: DesignRecord) -> str:
     """Changes with every visible change of the design."""
     return f'"{row.version}"'
 
 
-def retry_after_s(row: Design) -> int | None:
+def retry_after_s(row: DesignRecord) -> int | None:
     """When it is worth asking again; None if never."""
     if row.status in FINAL:
         return None
-    return 1 if row.status == Status.RUNNING else 2
+    return 1 if row.status == "running" else 2
 
 
-def design_summary(row: Design, domain_name: str) -> DesignSummary:
+def design_summary(row: DesignRecord, domain_name: str) -> DesignSummary:
     """A design in a list."""
     return DesignSummary(**_brief(row, domain_name))
 
 
-def design_view(row: Design, domain_name: str, artifacts: Sequence[DesignArtifact], now: float) -> DesignOut:
+def design_view(row: DesignRecord, domain_name: str, artifacts: Sequence[ArtifactRecord], now: float) -> DesignOut:
     """A design in full.
 
     Parameters
@@ -60,23 +60,23 @@ def design_view(row: Design, domain_name: str, artifacts: Sequence[DesignArtifac
         eta_s=_eta_s(row, now),
         note=row.note,
         metrics=row.metrics,
-        artifacts=[artifact_view(a) for a in artifacts if not a.internal],
+        artifacts=[artifact_view(row.id, a) for a in artifacts if not a.internal],
         events=f"/v1/designs/{row.id}/events",
     )
 
 
-def artifact_view(row: DesignArtifact) -> ArtifactOut:
+def artifact_view(design_id: str, row: ArtifactRecord) -> ArtifactOut:
     """One file."""
     return ArtifactOut(
         name=row.name,
         size=row.size,
         sha256=row.sha256,
         media_type=row.media_type,
-        href=f"/v1/designs/{row.design_id}/artifacts/{quote(row.name)}",
+        href=f"/v1/designs/{design_id}/artifacts/{quote(row.name)}",
     )
 
 
-def _brief(row: Design, domain_name: str) -> dict[str, object]:
+def _brief(row: DesignRecord, domain_name: str) -> dict[str, object]:
     return {
         "id": row.id,
         "name": row.name,
@@ -85,7 +85,7 @@ def _brief(row: Design, domain_name: str) -> dict[str, object]:
         "status": Status(row.status),
         "stage": Stage(row.stage) if row.stage else None,
         "progress": min(max(row.progress, 0.0), 1.0),
-        "attempt": row.attempt,
+        "attempt": row.tries,
         "created_at": iso(row.created_at),
         "started_at": iso(row.started_at),
         "finished_at": iso(row.finished_at),
@@ -94,7 +94,7 @@ def _brief(row: Design, domain_name: str) -> dict[str, object]:
     }
 
 
-def _error(row: Design) -> ErrorOut | None:
+def _error(row: DesignRecord) -> ErrorOut | None:
     if row.error is None:
         return None
     return ErrorOut(
@@ -105,8 +105,8 @@ def _error(row: Design) -> ErrorOut | None:
     )
 
 
-def _eta_s(row: Design, now: float) -> float | None:
+def _eta_s(row: DesignRecord, now: float) -> float | None:
     """Time spent so far, carried on at the same pace."""
-    if row.status != Status.RUNNING or row.started_at is None or row.progress < 0.02:
+    if row.status != "running" or row.started_at is None or row.progress < 0.02:
         return None
     return round(max(now - row.started_at, 0.0) * (1 - row.progress) / row.progress, 1)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dualms.spec import Unit
 from service.domains.schemas import DomainOut, FacetOut
 from service.times import iso
-from worker.tables import Domain
+from worker.records import DomainRecord
 
 
-def domain_view(row: Domain) -> DomainOut:
+def domain_view(row: DomainRecord) -> DomainOut:
     """The record of one domain."""
     found = row.inspection
     return DomainOut(

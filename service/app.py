@@ -1,0 +1,70 @@
+"""The HTTP face: ``create_app`` makes it, ``app`` is what uvicorn serves."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import FastAPI
+from prometheus_client import CollectorRegistry
+
+from dualms import __version__
+from service import problems, system
+from service.artifacts.endpoints import router as artifacts
+from service.backend import open_backend
+from service.designs.endpoints import router as designs
+from service.documentation import describe
+from service.domains.endpoints import router as domains
+from service.limits import BodyLimit
+from service.metrics import Meter, QueueCollector
+from service.settings import Settings
+from worker.settings import Settings as WorkerSettings
+
+FORM_OVERHEAD = 1024**2  # what a form adds to the file in it
+
+
+def create_app(settings: Settings | None = None, worker_settings: WorkerSettings | None = None) -> FastAPI:
+    """The app; connections are opened when it starts.
+
+    Parameters
+    ----------
+    settings, worker_settings
+        Default: what the environment says.
+    """
+    ours, theirs = settings or Settings(), worker_settings or WorkerSettings()
+    registry = CollectorRegistry()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        spool = theirs.scratch / "spool"
+        spool.mkdir(parents=True, exist_ok=True)
+        before, tempfile.tempdir = tempfile.tempdir, str(spool)  # uploads spool beside the store, not in a RAM disk
+        try:
+            async with open_backend(ours, theirs) as backend:
+                app.state.backend = backend
+                collector: Any = QueueCollector(lambda: system.gauges(backend))
+                registry.register(collector)
+                yield
+        finally:
+            tempfile.tempdir = before
+
+    app = FastAPI(
+        title="DualMS",
+        version=__version__,
+        summary="Two-fluid heat exchangers whose separating surface belongs to the envelope.",
+        license_info={"name": "MIT", "identifier": "MIT"},
+        lifespan=lifespan,
+    )
+    app.state.registry = registry
+    problems.install(app)
+    for router in (domains, designs, artifacts, system.router):
+        app.include_router(router)
+    describe(app)
+    app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
+    app.add_middleware(Meter, registry=registry)
+    return app
+
+
+app = create_app()

@@ -1,0 +1,52 @@
+"""From a request to a queued design."""
+
+from __future__ import annotations
+
+from dualms.spec import Unit
+from service.backend import Backend
+from service.designs.checks import check_against_domain
+from service.designs.requests import Wanted
+from service.designs.resolve import resolved
+from service.problems import Problem
+from worker.records import DesignRecord, IdempotencyConflict, NewDesign
+
+MAX_KEY = 255
+
+
+def submit(backend: Backend, wanted: Wanted, key: str | None, owner: str | None = None) -> DesignRecord:
+    """Check, resolve, record and announce a design; the same key gives the same design.
+
+    Raises
+    ------
+    Problem
+        ``idempotency-key-reused`` or ``malformed-request``.
+    DualMSError
+        If the specification does not fit the domain, or asks for what no worker can do.
+    """
+    if key is not None and not (0 < len(key) <= MAX_KEY and key.isprintable()):
+        advice = "Use a random UUID."
+        raise Problem("malformed-request", f"An Idempotency-Key has 1 to {MAX_KEY} printable characters.", advice)
+    units = Unit(wanted.domain.units)
+    found = wanted.domain.inspection
+    low, high = found["bounds"]
+    check_against_domain(wanted.spec, units, (tuple(low), tuple(high)), len(found["facets"]))
+    spec = resolved(wanted.spec, units, backend.records.live_queues())
+    new = NewDesign(
+        domain_id=wanted.domain.id,
+        spec=spec,
+        name=wanted.options.name,
+        labels=wanted.options.labels,
+        deadline_s=wanted.options.deadline_s,
+        owner=owner,
+    )
+    try:
+        row, made = backend.records.create_design(new, (key, wanted.sha256) if key is not None else None)
+    except IdempotencyConflict:
+        raise Problem(
+            "idempotency-key-reused",
+            "This Idempotency-Key was used before with another body.",
+            "Send the first body again, or use a new key.",
+        ) from None
+    if made:
+        backend.wakeups.send(row)
+    return row
