@@ -1,0 +1,160 @@
+"""A real `dualms serve` in a temporary folder, and small real inputs."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+import trimesh
+
+START_S = 30.0
+
+
+class Served:
+    """A running `dualms serve`.
+
+    Parameters
+    ----------
+    data
+        Its data folder.
+    """
+
+    def __init__(self, data: Path, *options: str, env: dict[str, str] | None = None) -> None:
+        self.data = data
+        data.parent.mkdir(parents=True, exist_ok=True)
+        self.console = data.parent / f"{data.name}-console.log"
+        own = {k: v for k, v in os.environ.items() if not k.startswith("DUALMS_")}
+        with self.console.open("wb") as out:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "service.cli", "serve", "--port", "0", "--data", str(data), *options],
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                env={**own, "OMP_NUM_THREADS": "1", "COLUMNS": "200", **(env or {})},
+                start_new_session=True,
+            )
+        self.began = time.monotonic()
+        self.url = self._url()
+        self.http = httpx.Client(base_url=self.url, timeout=90)
+        self._ready()
+        self.ready_after_s = time.monotonic() - self.began
+
+    def _url(self) -> str:
+        while time.monotonic() < self.began + START_S and self.process.poll() is None:
+            if found := re.search(r"listens at (http://\S+)", self.console.read_text()):
+                return found[1]
+            time.sleep(0.02)
+        raise AssertionError(f"serve did not start:\n{self.logs()}")
+
+    def _ready(self) -> None:
+        while time.monotonic() < self.began + START_S:
+            try:
+                if self.http.get("/readyz").status_code == 200:
+                    return
+            except httpx.TransportError:
+                pass
+            time.sleep(0.02)
+        raise AssertionError(f"the API did not start:\n{self.logs()}")
+
+    def family(self) -> list[psutil.Process]:
+        """This process and all below it."""
+        try:
+            parent = psutil.Process(self.process.pid)
+            return [parent, *parent.children(recursive=True)]
+        except psutil.NoSuchProcess:
+            return []
+
+    def kill_all(self) -> None:
+        """SIGKILL to everything, the parent first."""
+        for process in self.family():
+            try:
+                process.kill()
+            except psutil.NoSuchProcess:
+                continue
+        self.process.wait(10)
+
+    def stop(self, number: signal.Signals = signal.SIGINT, patience_s: float = 40.0) -> int:
+        """Ask it to stop, as Ctrl-C does."""
+        self.http.close()
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        return self.process.wait(patience_s)
+
+    def logs(self) -> str:
+        """Console and logs, for a failed test's message."""
+        files = [self.console, *sorted((self.data / "logs").glob("*.log"))]
+        return "\n".join(f"== {f.name}\n{f.read_text(errors='replace')[-4000:]}" for f in files if f.exists())
+
+    def upload(self, path: Path, units: str | None = "mm") -> httpx.Response:
+        """POST /v1/domains."""
+        data = {"units": units} if units else {}
+        with path.open("rb") as file:
+            return self.http.post("/v1/domains", files={"file": (path.name, file)}, data=data)
+
+    def ended(self, design_id: str, patience_s: float = 120.0) -> dict[str, Any]:
+        """The design once it has ended."""
+        deadline = time.monotonic() + patience_s
+        while time.monotonic() < deadline:
+            answer = self.http.get(f"/v1/designs/{design_id}", headers={"Prefer": "wait=10"}).json()
+            if answer["status"] in ("succeeded", "failed", "cancelled"):
+                return answer
+        raise AssertionError(f"design has not ended: {answer}\n{self.logs()}")
+
+
+@pytest.fixture(scope="session")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """One service for all tests that do not break it."""
+    service = Served(tmp_path_factory.mktemp("served") / "data")
+    yield service
+    service.stop()
+
+
+@pytest.fixture(scope="session")
+def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box of 40 × 30 × 20 mm."""
+    path = tmp_path_factory.mktemp("domains") / "box.stl"
+    trimesh.creation.box((40, 30, 20)).export(path)
+    return path
+
+
+@pytest.fixture
+def spec() -> dict[str, Any]:
+    """A small design in the box: hot along x, cold against it."""
+
+    def disk(x: float, y: float) -> dict[str, Any]:
+        return {"center": [x, y, 0], "radius": 5}
+
+    return {
+        "units": "mm",
+        "fluids": {
+            "hot": {"inlets": [disk(-20, -7)], "outlets": [disk(20, -7)]},
+            "cold": {"inlets": [disk(20, 7)], "outlets": [disk(-20, 7)]},
+        },
+        "graph": {"sites": 32},
+        "partition": {"method": "anneal", "seconds": 0.1},
+        "field": {"method": "phase-field", "resolution": 40},
+        "surface": {"resolution": 48},
+        "wall": {"thickness": 1.0},
+        "shell": {"thickness": 1.0},
+    }
+
+
+@pytest.fixture(scope="session")
+def domain_id(served: Served, box: Path) -> str:
+    """The box, uploaded."""
+    return str(served.upload(box).json()["id"])
+
+
+def as_json(answer: httpx.Response) -> str:
+    """For messages."""
+    return json.dumps(answer.json(), indent=1)
