@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from sqlalchemy import and_, delete, func, select, update
 from sqlalchemy.orm import Session
@@ -190,6 +190,7 @@ class Records:
                 lease_until=None,
                 worker_id=None,
                 dispatched_at=now,
+                waiting_since=now,
                 created_at=now,
                 started_at=None,
                 finished_at=None,
@@ -224,7 +225,7 @@ class Records:
             row = session.execute(
                 select(tables.Design.version, tables.Design.status).where(tables.Design.id == design_id)
             ).first()
-            return (row[0], row[1]) if row is not None else None
+            return (row[0], cast("Status", row[1])) if row is not None else None
 
     def designs(
         self,
@@ -345,7 +346,7 @@ class Records:
                         d.queue,
                         func.count().filter(waits),
                         func.count().filter(runs),
-                        func.min(d.dispatched_at).filter(waits),
+                        func.min(d.waiting_since).filter(waits),
                     )
                     .where(d.status.in_(views.LIVE))
                     .group_by(d.queue)

@@ -69,7 +69,8 @@ class Design(Base):
     tries: Mapped[int]  # starts of the step at hand
     lease_until: Mapped[float | None]
     worker_id: Mapped[str | None] = mapped_column(String(32), index=True)
-    dispatched_at: Mapped[float | None]
+    dispatched_at: Mapped[float | None]  # last message sent
+    waiting_since: Mapped[float | None]
     created_at: Mapped[float]
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]

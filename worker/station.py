@@ -1,0 +1,145 @@
+"""The process of one queue: registers itself, consumes messages, keeps its heartbeat, reaps, collects garbage.
+
+It never imports torch: the steps run in child processes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import platform
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+from celery import signals
+
+import dualms
+from worker import tables
+from worker.artifacts import open_store
+from worker.database import Now
+from worker.garbage import collect
+from worker.host import started_at, this_host
+from worker.leases import Leases
+from worker.logs import log_to_stderr
+from worker.queue import Wakeups, celery_app
+from worker.reaper import Reaper
+from worker.records import Records, new_id
+from worker.scratch import sweep
+from worker.settings import Settings
+from worker.tasks import Station, register
+
+HEARTBEAT_S = 5.0
+log = logging.getLogger(__name__)
+
+
+def main() -> None:
+    """Serve the queue that the arguments name until SIGTERM."""
+    queue, concurrency = sys.argv[1], int(sys.argv[2])
+    _die_with_parent()
+    log_to_stderr()
+    settings = Settings()
+    records = Records.open(settings)
+    app = celery_app(settings)
+    wakeups = Wakeups(settings, celery_app(settings))
+    reaper = Reaper(records, wakeups)
+    sweep(settings.scratch)
+    drain = threading.Event()
+    registration = Registration(records, queue, concurrency)
+    reaper.run_once()  # what dead processes of this machine held waits again, at once
+    store = open_store(settings)
+    station = Station(queue, registration.id, settings, Leases(records), store, wakeups, drain)
+    register(app, station)
+
+    def on_stop(**_: object) -> None:
+        drain.set()
+        registration.drain()
+
+    signals.worker_shutting_down.connect(on_stop, weak=False)
+    signals.setup_logging.connect(lambda **_: None, weak=False)
+    ended = threading.Event()
+    every(HEARTBEAT_S, registration.beat, ended, "heartbeat")
+    every(settings.reap_s, reaper.run_once, ended, "reaper")
+    every(settings.collect_s, lambda: collect(records, store), ended, "collector")
+    log.info("serving queue %s as worker %s", queue, registration.id)
+    worker = app.Worker(
+        queues=[queue],
+        concurrency=concurrency,
+        pool="threads",
+        without_gossip=True,
+        without_mingle=True,
+        without_heartbeat=True,
+        hostname=f"{queue}-{registration.id[-8:]}@{platform.node()}",
+        quiet=True,
+    )
+    worker.start()
+    ended.set()
+    registration.end()
+    sys.exit(0)
+
+
+class Registration:
+    """This process in the table of workers, so that the service knows which queues are served."""
+
+    def __init__(self, records: Records, queue: str, concurrency: int) -> None:
+        self.id = new_id()
+        self._database = records.database
+        pid = os.getpid()
+        self._row = {
+            "id": self.id,
+            "host": this_host(),
+            "name": platform.node(),
+            "pid": pid,
+            "pid_started": started_at(pid),
+            "queue": queue,
+            "concurrency": concurrency,
+            "draining": False,
+            "facts": {"version": dualms.__version__, "cores": os.cpu_count(), "python": platform.python_version()},
+        }
+        self.beat()
+
+    def beat(self) -> None:
+        """Say that this worker lives; register it (again) where it is unknown."""
+        with self._database.write() as session:
+            row = session.get(tables.Worker, self.id)
+            if row is None:
+                session.add(tables.Worker(**self._row, started_at=Now(), heartbeat_at=Now()))
+            else:
+                row.heartbeat_at = Now()  # type: ignore[assignment]
+                row.draining = bool(self._row["draining"])
+
+    def drain(self) -> None:
+        """Say that this worker takes nothing new."""
+        self._row["draining"] = True
+        self.beat()
+
+    def end(self) -> None:
+        """Take this worker off the list."""
+        with self._database.write() as session:
+            row = session.get(tables.Worker, self.id)
+            if row is not None:
+                session.delete(row)
+
+
+def every(seconds: float, call: Callable[[], object], ended: threading.Event, name: str) -> None:
+    """Call something again and again in a thread of its own; what it raises is logged, and the next time comes."""
+
+    def loop() -> None:
+        while not ended.wait(seconds):
+            try:
+                call()
+            except Exception:
+                log.exception("%s failed; it will be tried again", name)
+
+    threading.Thread(target=loop, name=name, daemon=True).start()
+
+
+def _die_with_parent() -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))
+
+
+if __name__ == "__main__":
+    main()
