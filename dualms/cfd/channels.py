@@ -52,8 +52,8 @@ class VoxelExchanger:
     Parameters
     ----------
     labels
-        (nx, ny, nz) int8: 0 outside the envelope, 1 hot, -1 cold, 2 separating wall (and dropped pockets). The outermost
-        layer is 0.
+        (nx, ny, nz) int8: 0 outside the envelope, 1 hot, -1 cold, 2 separating wall (and dropped pockets). The
+        outermost layer is 0.
     distance_m
         (nx, ny, nz) float32 signed distance to the separating surface, positive on the hot side; exact near it.
     spacing_m
@@ -99,11 +99,17 @@ class VoxelExchanger:
     @property
     def solid_fraction(self) -> float:
         """Wall over envelope, both by true distance where the voxels are coarser than the wall."""
-        inside = self.labels != OUTSIDE
-        half, h = self.wall_m / 2, self.spacing_m
-        # The share of a voxel nearer than half the wall, by its distance: a linear ramp one voxel wide each side.
-        near = np.clip((half - np.abs(self.distance_m[inside])) / h + 0.5, 0.0, min(1.0, 2 * half / h))
-        return float(near.mean())
+        return solid_share(self.distance_m[self.labels != OUTSIDE], self.wall_m, self.spacing_m)
+
+
+def solid_share(distance: NDArray[np.floating], wall: float, spacing: float) -> float:
+    """Share of voxels that a wall takes, by their distances (K,) to its middle surface.
+
+    Voxels are coarser than the wall: each counts by the part of a ramp one voxel wide that the wall covers.
+    """
+    upper = np.clip((distance + wall / 2) / spacing + 0.5, 0, 1)
+    lower = np.clip((distance - wall / 2) / spacing + 0.5, 0, 1)
+    return float(np.mean(upper - lower))
 
 
 def voxelise(

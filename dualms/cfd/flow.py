@@ -72,7 +72,7 @@ class FlowSolution:
             raise ValueError("a flow solution must be finite")
 
 
-class _Diverged(Exception):  # noqa: N818 - a signal between two functions of this file
+class _Diverged(Exception):
     """The iteration left all bounds."""
 
 

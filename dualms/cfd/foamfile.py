@@ -1,7 +1,7 @@
 """OpenFOAM's file format, as far as a case written and read here needs it: binary lists under a text header.
 
-Format as in the OpenFOAM user guide, "Basic input/output file format"; labels are 32-bit, scalars 64-bit, little-endian,
-as Debian builds it.
+Format as in the OpenFOAM user guide, "Basic input/output file format"; labels are 32-bit, scalars 64-bit,
+little-endian, as Debian builds it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-HEADER = 'FoamFile\n{{\n    version 2.0;\n    format {format};\n    arch "LSB;label=32;scalar=64";\n    class {kind};\n    object {name};\n}}\n'
+HEADER = (
+    "FoamFile\n{{\n    version 2.0;\n    format {format};\n"
+    '    arch "LSB;label=32;scalar=64";\n    class {kind};\n    object {name};\n}}\n'
+)
 DIMENSIONS = {"U": "[0 1 -1 0 0 0 0]", "p": "[0 2 -2 0 0 0 0]"}
 KINDS = {(): "scalar", (3,): "vector"}
 
