@@ -28,7 +28,7 @@ def main() -> int:
         port = _free_port()
         url = f"http://127.0.0.1:{port}"
         service = subprocess.Popen(
-            [DUALMS, "serve", "--port", str(port), "--data-dir", data], stdout=subprocess.DEVNULL, start_new_session=True
+            [DUALMS, "serve", "--port", str(port), "--data", data], stdout=subprocess.DEVNULL, start_new_session=True
         )
         try:
             _wait_until_ready(url, service)

@@ -1,0 +1,163 @@
+"""The whole chain on a small box: two connected fluids, exact volumes, the same bytes again."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from dualms.mesh import read_domain_mesh
+from dualms.pipeline import run_step
+from dualms.progress import Cancelled, Silent
+from dualms.spec import FluidsSpec, Spec, Unit
+from dualms.steps import ARTIFACTS, INTERNAL, STAGES, step_keys, steps_of
+from tests.dualms.shapes import box_mesh, end_ports, shared_ends, small_spec
+
+VOLUME = 80 * 60 * 40
+
+
+class Recorder:
+    """Progress that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.reports: list[tuple[str, float]] = []
+
+    def report(self, stage: str, fraction: float, note: str = "") -> None:
+        self.reports.append((stage, fraction))
+
+
+def _domain_file(folder: Path) -> Path:
+    mesh = box_mesh()
+    path = folder / "box.stl"
+    shape = trimesh.Trimesh(mesh.vertices_m * 1e3, mesh.faces, process=False)
+    path.write_bytes(trimesh.exchange.stl.export_stl(shape))
+    return path
+
+
+def _run(folder: Path, fluids: FluidsSpec, progress: Recorder | None = None, **changes: object) -> Spec:
+    folder.mkdir(exist_ok=True)
+    spec = small_spec(fluids, **changes)
+    for step in steps_of(spec):
+        run_step(step, folder, _domain_file(folder), spec, progress or Silent())
+    return spec
+
+
+@pytest.fixture(scope="module", params=["shared", "dedicated"])
+def designed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recorder]:
+    folder = tmp_path_factory.mktemp(request.param)
+    progress = Recorder()
+    _run(folder, shared_ends() if request.param == "shared" else end_ports(), progress)
+    return folder, progress
+
+
+def test_every_file_that_a_step_names_is_there(designed: tuple[Path, Recorder]) -> None:
+    folder, _ = designed
+    for step in ("prepare", "solve", "build"):
+        for name in (*ARTIFACTS[step], *INTERNAL[step]):
+            assert (folder / name).stat().st_size > 0, name
+
+
+def test_each_fluid_is_one_part_from_inlet_to_outlet(designed: tuple[Path, Recorder]) -> None:
+    report = json.loads((designed[0] / "report.json").read_text())
+    for fluid in report["fluids"].values():
+        assert fluid["components"] == 1
+        assert fluid["inlet_to_outlet_connected"]
+        assert 0 < fluid["passage_m"] < 0.04
+    assert report["leak_free"]
+    assert report["trapped_volume_m3"] == 0
+
+
+def test_solid_and_fluids_from_the_files_fill_the_envelope(designed: tuple[Path, Recorder]) -> None:
+    folder, _ = designed
+    meshes = [read_domain_mesh(folder / f"{name}.stl", Unit.MM) for name in ("solid", "fluid_hot", "fluid_cold")]
+    assert sum(m.volume_m3 for m in meshes) * 1e9 == pytest.approx(VOLUME, rel=1e-4)
+
+
+def test_the_3mf_holds_the_solid_in_its_unit(designed: tuple[Path, Recorder]) -> None:
+    solid = read_domain_mesh(designed[0] / "solid.3mf", None)
+    stl = read_domain_mesh(designed[0] / "solid.stl", Unit.MM)
+    assert solid.units == Unit.MM
+    assert solid.volume_m3 == pytest.approx(stl.volume_m3, rel=1e-5)
+
+
+def test_patches_cover_each_fluids_boundary_once(designed: tuple[Path, Recorder]) -> None:
+    folder, _ = designed
+    document = json.loads((folder / "patches.json").read_text())
+    for fluid in ("hot", "cold"):
+        mesh = trimesh.load(folder / document[fluid]["file"], process=False)
+        ranges = sorted(run for patch in document[fluid]["patches"] for run in patch["triangles"])
+        assert ranges[0][0] == 0
+        assert ranges[-1][1] == len(mesh.faces)
+        assert all(a[1] == b[0] for a, b in zip(ranges, ranges[1:], strict=False))
+        names = [patch["name"] for patch in document[fluid]["patches"]]
+        assert {"interface", "inlet-0", "outlet-0"} <= set(names)
+
+
+def test_progress_names_every_stage_and_does_not_go_back(designed: tuple[Path, Recorder]) -> None:
+    reports = designed[1].reports
+    stages = [stage for step in ("prepare", "solve", "build") for stage in STAGES[step]]
+    seen = list(dict.fromkeys(stage for stage, _ in reports))
+    assert seen == stages
+    for stage in stages:
+        fractions = [f for s, f in reports if s == stage]
+        assert max(fractions) == 1
+        # A stage may consist of two runs of the stopwatch: it starts again at 0 at most once.
+        assert sum(b < a for a, b in zip(fractions, fractions[1:], strict=False)) <= 1
+
+
+def test_the_page_is_self_contained(designed: tuple[Path, Recorder]) -> None:
+    page = (designed[0] / "report.html").read_text()
+    assert "data:image/png;base64," in page
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_the_same_request_gives_the_same_bytes(designed: tuple[Path, Recorder], tmp_path: Path) -> None:
+    first = designed[0]
+    spec = json.loads((first / "report.json").read_text())["provenance"]["spec"]
+    (tmp_path / "run.py").write_text(
+        "import json, sys; from pathlib import Path\n"
+        "from dualms.pipeline import run_step; from dualms.progress import Silent; from dualms.spec import Spec\n"
+        "folder = Path(sys.argv[1]); spec = Spec.model_validate(json.loads(sys.argv[2]))\n"
+        "[run_step(s, folder, folder / 'box.stl', spec, Silent()) for s in ('prepare', 'solve', 'build')]\n"
+    )
+    _domain_file(tmp_path)
+    subprocess.run([sys.executable, tmp_path / "run.py", tmp_path, json.dumps(spec)], check=True)
+    for step in ("prepare", "solve", "build"):
+        for name in ARTIFACTS[step]:
+            if not name.startswith("report"):  # holds timings
+                assert (tmp_path / name).read_bytes() == (first / name).read_bytes(), name
+
+
+def test_a_cancelled_design_stops() -> None:
+    class Impatient:
+        def report(self, stage: str, fraction: float, note: str = "") -> None:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run_step("prepare", Path("."), Path("nowhere.stl"), small_spec(end_ports()), Impatient())
+
+
+def test_a_changed_wall_changes_the_keys_of_build_alone() -> None:
+    one, two = (step_keys("0" * 64, small_spec(end_ports(), wall={"thickness": t})) for t in (0.8, 0.9))
+    assert one["prepare"] == two["prepare"]
+    assert one["solve"] == two["solve"]
+    assert one["build"] != two["build"]
+
+
+def test_a_changed_seed_changes_every_key() -> None:
+    one, two = (step_keys("0" * 64, small_spec(end_ports(), seed=s)) for s in (0, 1))
+    assert not set(one.values()) & set(two.values())
+
+
+def test_skeleton_sites_lie_in_the_box(designed: tuple[Path, Recorder]) -> None:
+    document = json.loads((designed[0] / "skeletons.json").read_text())
+    sites = np.array(document["sites"])
+    assert len(sites) == len(document["labels"]) == 60
+    assert (sites > 0).all()
+    assert (sites < [0.08, 0.06, 0.04]).all()
