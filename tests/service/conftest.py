@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +117,20 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     service = Served(tmp_path_factory.mktemp("served") / "data")
     yield service
     service.stop()
+
+
+@pytest.fixture
+def serve_at() -> Iterator[Callable[..., Served]]:
+    """Starts services that a test may break; whatever is left of them is ended."""
+    started: list[Served] = []
+
+    def start(data: Path, *options: str, env: dict[str, str] | None = None) -> Served:
+        started.append(Served(data, *options, env=env))
+        return started[-1]
+
+    yield start
+    for service in started:
+        service.stop()
 
 
 @pytest.fixture(scope="session")

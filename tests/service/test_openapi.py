@@ -65,7 +65,7 @@ def test_status_and_stage_are_closed_enumerations(api: dict[str, Any]) -> None:
     schemas = api["components"]["schemas"]
     assert schemas["Status"]["enum"] == ["queued", "running", "succeeded", "failed", "cancelled"]
     assert schemas["Stage"]["enum"] == (
-        "domain flow graph partition skeletons field surface body report evaluation".split()
+        ["domain", "flow", "graph", "partition", "skeletons", "field", "surface", "body", "report", "evaluation"]
     )
 
 
