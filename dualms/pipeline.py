@@ -8,6 +8,7 @@ from pathlib import Path
 from dualms import results
 from dualms.body.body import make_body
 from dualms.body.walls import wall_thickness
+from dualms.cfd.evaluate import evaluate as solve_evaluation
 from dualms.cut.partition import Partition, max_cut
 from dualms.domain import Domain
 from dualms.field.field import load_field, save_field
@@ -117,4 +118,20 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
 
 def evaluate(folder: Path, spec: Spec, progress: Progress) -> None:
     """Field → solved pressure drop and heat transfer, joined to the report."""
-    raise NotImplementedError
+    if spec.evaluation is None:
+        raise TypeError("the specification asks for no evaluation")
+    asked = spec.evaluation
+    watch = Stopwatch(progress)
+    domain = load(Prepared, folder / "prepared.safetensors").domain
+    field = load_field(folder / "field.safetensors")
+    report = results.read_report(folder)
+    grid = domain.grid(spec.surface.resolution, padding=4)
+    wall, shell = (x / domain.scale_m for x in (report.wall.thickness_m, report.shell_thickness_m))
+    case, picture = folder / "case", folder / "evaluation.png"
+    solved = watch.run(
+        "evaluation",
+        lambda: solve_evaluation(
+            domain, field.on(grid), grid, wall, spec.fluids, asked, progress, case, shell, picture
+        ),
+    )
+    results.write_evaluation(folder, report, solved.to_json(), watch.seconds, case if asked.keep_case else None)

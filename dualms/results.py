@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,22 @@ def patches(body: Body, units: Unit) -> dict[str, Any]:
         "hot": {"file": "fluid_hot.stl", "patches": describe(body.hot)},
         "cold": {"file": "fluid_cold.stl", "patches": describe(body.cold)},
     }
+
+
+def read_report(folder: Path) -> Report:
+    """The report that an earlier step wrote."""
+    return Report.model_validate_json((folder / "report.json").read_text(encoding="utf-8"))
+
+
+def write_evaluation(
+    folder: Path, report: Report, evaluation: dict[str, Any], seconds: dict[str, float], case: Path | None
+) -> None:
+    """Write ``evaluation.json``, join it to the report, and pack the solver's case if it is to be kept."""
+    write_json(folder / "evaluation.json", evaluation)
+    joined = report.model_copy(update={"evaluation": evaluation}).timed(report.timings_s | seconds)
+    write_report(folder, joined)
+    if case is not None:
+        shutil.make_archive(str(folder / "case"), "zip", case)
 
 
 def write_report(folder: Path, report: Report) -> None:

@@ -47,9 +47,9 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
         "report.json",
         "report.html",
     ),
-    "evaluate": ("evaluation.json", "evaluation.png", "report.json", "report.html"),
+    "evaluate": ("evaluation.json", "report.json", "report.html"),
 }
-OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {"prepare": (), "solve": (), "build": (), "evaluate": ("case.zip",)}
+OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {"prepare": (), "solve": (), "build": (), "evaluate": ("evaluation.png", "case.zip")}
 INTERNAL: dict[Step, tuple[str, ...]] = {
     "prepare": ("prepared.safetensors", "timings-prepare.json"),
     "solve": ("timings-solve.json",),
