@@ -2,8 +2,8 @@
 
 The paper's problem, least area between two skeletons, has thin tubes as its literal optimum. So we stop early: from the
 equidistant surface, an Allen-Cahn flow u_t = Δu - W'(u)/ε², W = (1 - u²)²/4, moves the interface by its mean curvature
-for a short time that scales with the width of the channels. Skeleton tubes are kept pointwise, level sets meet the wall
-at 90°, and the topology of the start is kept voxel by voxel.
+for a short time that scales with the gap between the skeletons. Skeleton tubes are kept pointwise, level sets meet
+the wall at 90°, and the topology of the start is kept voxel by voxel.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from dualms.domain import Domain
@@ -32,14 +31,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-SAMPLE_SPACING = 1 / 256
 MARGIN = 0.07
 """How far beyond the domain the field is defined, unit-cube units."""
-DIFFUSION = 0.08
-"""Time of the whole diffusion in squared channel widths."""
+DIFFUSION = 0.038
+"""Time of the whole diffusion in squared gaps."""
 _INTERFACE_VOXELS = 1.5
-_INTERFACE_OVER_CHANNEL = 0.15
-_TUBE_OVER_CHANNEL = 0.12
+_INTERFACE_OVER_GAP = 0.1
+_TUBE_OVER_GAP = 0.08
 _SATURATION = 0.999
 
 
@@ -59,8 +57,8 @@ class Problem:
         (nx, ny, nz) float32 distance to the skeletons, unit-cube units.
     skeleton
         Voxels of the hot and of the cold skeleton.
-    channel
-        √(volume / length of both skeletons): the width of a channel, unit-cube units.
+    gap
+        Median distance from one skeleton to the other by way of a point inside: about the spacing of the sites.
     """
 
     grid: Grid
@@ -69,7 +67,7 @@ class Problem:
     to_hot: Floats
     to_cold: Floats
     skeleton: tuple[Mask, Mask]
-    channel: float
+    gap: float
 
     @classmethod
     def of(cls, domain: Domain, skeletons: Skeletons, resolution: int) -> Problem:
@@ -85,19 +83,18 @@ class Problem:
             away = np.full(grid.shape, np.float32(1))
             away[near] = cKDTree(samples).query(points, workers=-1)[0]
             distances.append(away)
-            tubes.append(_voxels_of(samples, grid, inside))
-        length = SAMPLE_SPACING * (len(skeletons.hot) + len(skeletons.cold))
-        channel = math.sqrt(domain.volume / length)
-        return cls(grid, fraction, inside, distances[0], distances[1], (tubes[0], tubes[1]), channel)
+            tubes.append(topology.voxels_of(samples, grid, inside))
+        gap = float(np.median((distances[0] + distances[1])[inside]))
+        return cls(grid, fraction, inside, distances[0], distances[1], (tubes[0], tubes[1]), gap)
 
     @property
     def interface(self) -> float:
         """ε of the diffuse interface tanh(d / √2ε), unit-cube units."""
-        return max(_INTERFACE_VOXELS * self.grid.spacing, _INTERFACE_OVER_CHANNEL * self.channel)
+        return max(_INTERFACE_VOXELS * self.grid.spacing, _INTERFACE_OVER_GAP * self.gap)
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Pointwise bounds on u that keep a tube round each skeleton; between clashing tubes both give way."""
-        radius = _TUBE_OVER_CHANNEL * self.channel
+        radius = _TUBE_OVER_GAP * self.gap
         half_gap = np.abs(self.to_cold - self.to_hot) / 2
         low = profile(np.minimum(radius - self.to_hot, half_gap), self.interface)
         high = profile(np.maximum(self.to_cold - radius, -half_gap), self.interface)
@@ -145,7 +142,7 @@ def solve_phase_field(
     start, hot = equidistant(problem)
     low, high = problem.bounds()
     eps, spacing = problem.interface, problem.grid.spacing
-    total = DIFFUSION * min(1.0, 2 * minimality) * problem.channel**2
+    total = DIFFUSION * min(1.0, 2 * minimality) * problem.gap**2
     steps = math.ceil(total / min(0.2 * eps**2, 0.5 * spacing**2))
     u = start
     rows = [[0.0, *_figures(problem, u, eps), 0.0]]
@@ -206,16 +203,6 @@ def finish(problem: Problem, u: Floats) -> GridSamples:
     values = extend(np.pad(distance, width, mode="edge"), np.pad(problem.inside, width))
     nx, ny, nz = values.shape
     return GridSamples(Grid(grid.origin - width * grid.spacing, grid.spacing, (nx, ny, nz)), values)
-
-
-def _voxels_of(samples: NDArray[np.float64], grid: Grid, inside: Mask) -> Mask:
-    """Inside voxels that hold samples; a sample on the wall counts for the nearest inside voxel."""
-    away, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
-    at = tuple(grid.nearest(samples).T)
-    close = away[at] < 2
-    marked = np.zeros(grid.shape, dtype=bool)
-    marked[tuple(index[at][close] for index in nearest)] = True
-    return marked
 
 
 def _figures(problem: Problem, u: Floats, eps: float) -> tuple[float, float]:

@@ -18,6 +18,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dualms.grid import Grid
+
 Mask = NDArray[np.bool_]
 
 
@@ -157,6 +159,16 @@ def without_pockets(hot: Mask, inside: Mask, skeleton: tuple[Mask, Mask]) -> tup
         if np.array_equal(new, before):
             break
     return new, int(((new != hot) & inside).sum())
+
+
+def voxels_of(samples: NDArray[np.float64], grid: Grid, inside: Mask) -> Mask:
+    """Inside voxels that hold samples (P, 3); a sample on the wall counts for the nearest inside voxel."""
+    away, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
+    at = tuple(grid.nearest(samples).T)
+    close = away[at] < 2
+    marked = np.zeros(grid.shape, dtype=bool)
+    marked[tuple(index[at][close] for index in nearest)] = True
+    return marked
 
 
 def component_counts(hot: Mask, inside: Mask) -> tuple[int, int]:

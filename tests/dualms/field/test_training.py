@@ -1,0 +1,154 @@
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from dualms.domain import Domain
+from dualms.errors import FieldDiverged
+from dualms.field import topology, training
+from dualms.field.field import Field
+from dualms.field.losses import skeleton_loss, smoothness_exact, smoothness_secants
+from dualms.field.solve import solve_field
+from dualms.progress import Silent
+from dualms.spec import NeuralField
+
+SMALL = NeuralField(
+    method="neural",
+    steps=120,
+    points=256,
+    features=64,
+    width=32,
+    learning_rate=1e-2,
+    decay_every=20,
+    gradient="secants",
+)
+
+
+@pytest.fixture(autouse=True)
+def _coarse_sampling(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "_SAMPLING_RESOLUTION", 32)
+    # Threads cost more than they save on so small a network.
+    torch.set_num_threads(1)
+
+
+class Stop(Exception):
+    pass
+
+
+class StopAt:
+    """Interrupts the run at a fraction, as a cancelled or killed job would."""
+
+    def __init__(self, fraction: float) -> None:
+        self.fraction = fraction
+
+    def report(self, stage: str, fraction: float, note: str = "") -> None:
+        if fraction >= self.fraction:
+            raise Stop
+
+
+def solve(domain: Domain, skeletons: SimpleNamespace, spec: NeuralField, checkpoint: Path | None = None) -> Field:
+    return solve_field(domain, skeletons, spec, 3, "cpu", checkpoint, Silent())
+
+
+def test_skeleton_loss_is_equation_4() -> None:
+    loss = skeleton_loss(torch.tensor([1.0, 0.5]), torch.tensor([-1.0, -1.0, 2.0]))
+    assert loss.item() == pytest.approx(0.25 + 1.0)
+
+
+@pytest.mark.parametrize("gradient", ["exact", "secants"])
+def test_smoothness_of_a_linear_field_is_the_length_of_its_gradient(gradient: str) -> None:
+    slope = torch.tensor([1.0, -2.0, 2.0])
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand((40_000, 3), generator=generator)
+
+    def field(x: torch.Tensor) -> torch.Tensor:
+        return x @ slope
+
+    if gradient == "exact":
+        assert smoothness_exact(field, points).item() == pytest.approx(3, rel=1e-5)
+    else:
+        # 10,000 random lines: the mean of 2|cos| has a standard error of 0.6 %.
+        assert smoothness_secants(field, points, generator).item() == pytest.approx(3, rel=0.02)
+
+
+def test_secants_agree_with_the_exact_gradient_on_the_network() -> None:
+    spec = NeuralField(method="neural", features=64, width=32)
+    model = training.Model(spec, torch.Generator().manual_seed(1))
+    generator = torch.Generator().manual_seed(2)
+    points = torch.rand((40_000, 3), generator=generator)
+    exact = smoothness_exact(model, points).item()
+    assert smoothness_secants(model, points, generator).item() == pytest.approx(exact, rel=0.03)
+
+
+def test_training_separates_two_lines_near_the_middle(unit_box: Domain, parallel_lines: SimpleNamespace) -> None:
+    field = solve(unit_box, parallel_lines, SMALL)
+    grid = unit_box.grid(24, padding=0)
+    x, y, _ = grid.points().T.reshape(3, *grid.shape)
+    hot = field.on(grid) > 0
+    # Far from both lines so short a training decides nothing.
+    near = np.abs(y - 0.5) < 0.08
+    assert hot[near & (np.abs(x - 0.25) < 0.08)].all()
+    assert not hot[near & (np.abs(x - 0.75) < 0.08)].any()
+    loss = field.history.column("loss")
+    assert loss[-1] < 0.1 * loss[0]
+
+
+def test_the_numpy_network_is_the_trained_one() -> None:
+    model = training.Model(SMALL, torch.Generator().manual_seed(0))
+    points = np.random.default_rng(0).random((200, 3))
+    with torch.no_grad():
+        expected = model(torch.tensor(points, dtype=torch.float32)).numpy()
+    np.testing.assert_allclose(model.network().at(points), expected, atol=2e-6)
+
+
+def test_resuming_gives_the_same_bytes(
+    unit_box: Domain, parallel_lines: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "CHECKPOINT_SECONDS", 0.0)
+    spec = SMALL.model_copy(update={"connect": True})
+    whole = solve(unit_box, parallel_lines, spec)
+    checkpoint = tmp_path / "checkpoint"
+    with pytest.raises(Stop):
+        solve_field(unit_box, parallel_lines, spec, 3, "cpu", checkpoint, StopAt(0.4))
+    assert checkpoint.exists()
+    resumed = solve(unit_box, parallel_lines, spec, checkpoint)
+    for (a, b), (c, d) in zip(whole.source.layers, resumed.source.layers, strict=True):
+        assert a.tobytes() == c.tobytes()
+        assert b.tobytes() == d.tobytes()
+    assert whole.history.rows.tobytes() == resumed.history.rows.tobytes()
+
+
+def test_a_checkpoint_of_another_specification_is_not_taken_up(
+    unit_box: Domain, parallel_lines: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "CHECKPOINT_SECONDS", 0.0)
+    solve(unit_box, parallel_lines, SMALL.model_copy(update={"steps": 60}), tmp_path / "c")
+    fresh = solve(unit_box, parallel_lines, SMALL)
+    other = solve(unit_box, parallel_lines, SMALL, tmp_path / "c")
+    assert fresh.source.layers[0][0].tobytes() == other.source.layers[0][0].tobytes()
+
+
+def test_divergence_is_said(unit_box: Domain, parallel_lines: SimpleNamespace) -> None:
+    with pytest.raises(FieldDiverged, match="step"):
+        solve(unit_box, parallel_lines, SMALL.model_copy(update={"learning_rate": 1e30}))
+
+
+def test_stray_pockets_are_found_and_taught(unit_box: Domain, parallel_lines: SimpleNamespace) -> None:
+    lattice = training.Lattice.of(unit_box, parallel_lines)
+    x, y, z = (lattice.grid.points(lattice.inside) - 0.5).T
+    values = np.where(x < 0, 1.0, -1.0).astype(np.float32)
+    assert not lattice.stray(values)[0].any()
+    values[np.hypot(x - 0.3, y - 0.4) ** 2 + z**2 < 0.05**2] = 1
+    wrong, wanted = lattice.stray(values)
+    assert 5 < wrong.sum() < 40
+    assert not wanted[wrong].any()
+    assert topology.component_counts(wanted, lattice.inside) == (1, 1)
+
+
+def test_presets_fill_only_what_is_left_open() -> None:
+    assert NeuralField(method="neural").hidden_layers == 3
+    assert NeuralField(method="neural", preset="released").hidden_layers == 4
+    cpu = NeuralField(method="neural", preset="cpu", steps=7)
+    assert (cpu.steps, cpu.gradient, cpu.skeleton_weight) == (7, "secants", 5000)
