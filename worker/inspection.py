@@ -65,7 +65,7 @@ def inspect_upload(path: Path, filename: str, units: Unit | None, settings: Sett
                 cwd=folder,
                 env={"PATH": "/usr/bin:/bin", "HOME": folder, "TMPDIR": folder, "OMP_NUM_THREADS": "1"}
                 | {"OPENBLAS_NUM_THREADS": "1", "NUMBA_CACHE_DIR": folder, "MALLOC_ARENA_MAX": "2"},
-                timeout=settings.inspection_seconds + 10,
+                timeout=settings.inspection_seconds,
                 start_new_session=True,
                 check=False,
             )

@@ -6,11 +6,14 @@ Why each setting is as it is stands beside it. Job state is never read from Cele
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 from celery import Celery
 from kombu import Queue
 from kombu.exceptions import OperationalError
+from redis import Redis
+from redis.backoff import NoBackoff
+from redis.exceptions import RedisError
+from redis.retry import Retry
 
 from worker.routing import QUEUES, queue_of
 from worker.settings import Settings
@@ -67,17 +70,21 @@ def celery_app(settings: Settings) -> Celery:
 
 
 class Wakeups:
-    """Sends messages; a broker that is away costs time, never a job.
+    """Sends messages; a broker that is away costs a moment, never a job.
 
     Parameters
     ----------
     settings
-        For the broker's address; with none, nothing is sent and the workers' own looking must do.
+        For the broker's address; with none, nothing is sent and the reaper's looking must do.
     """
 
-    def __init__(self, settings: Settings, app: Celery | None = None) -> None:
-        self._known = bool(settings.redis_url)
-        self._app = app or celery_app(settings)
+    def __init__(self, settings: Settings) -> None:
+        self._app = celery_app(settings)
+        self._client: Redis | None = None
+        if settings.redis_url:
+            url = settings.redis_url.replace("redis+socket://", "unix://", 1)
+            # Celery would try a broker that is away for seconds; a client of its own asks first, and once.
+            self._client = Redis.from_url(url, socket_connect_timeout=2, socket_timeout=5, retry=Retry(NoBackoff(), 1))
 
     def send(self, design: DesignRecord) -> bool:
         """Say that the design's next step waits in its queue."""
@@ -85,33 +92,25 @@ class Wakeups:
 
     def send_to(self, queue: str, job_id: str, step: str) -> bool:
         """Say that a step waits. Returns whether the broker took the message; the reaper repeats it if not."""
-        if not self._known:
+        if not self.ping():
             return False
         try:
             self._app.send_task(TASK, kwargs={"job_id": job_id, "step": step}, queue=queue, retry=False)
-        except (OperationalError, OSError) as error:
+        except (OperationalError, RedisError, OSError) as error:
             log.warning("broker away, the reaper will send again: %s", error, extra={"job_id": job_id})
             return False
         return True
 
     def length(self, queue: str) -> int | None:
         """Messages that wait in a queue; None where the broker is away."""
-        if not self._known:
+        if self._client is None:
             return None
         try:
-            with self._app.connection_for_read() as connection:
-                client: Any = connection.default_channel.client
-                return int(client.llen(queue))
-        except (OperationalError, OSError, *_redis_errors()) as error:
+            return int(self._client.llen(queue))
+        except (RedisError, OSError) as error:
             log.warning("broker away: %s", error)
             return None
 
     def ping(self) -> bool:
         """Whether the broker answers."""
         return self.length("cpu") is not None
-
-
-def _redis_errors() -> tuple[type[Exception], ...]:
-    from redis.exceptions import RedisError
-
-    return (RedisError,)

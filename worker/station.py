@@ -12,9 +12,11 @@ import platform
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable
 
 from celery import signals
+from celery.platforms import SecurityWarning
 
 import dualms
 from worker import tables
@@ -40,10 +42,14 @@ def main() -> None:
     queue, concurrency = sys.argv[1], int(sys.argv[2])
     _die_with_parent()
     log_to_stderr()
+    # Each message would be two lines; and the warning about root is about pickles, which are refused here.
+    for name in ("celery.worker.strategy", "celery.app.trace"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    warnings.simplefilter("ignore", SecurityWarning)
     settings = Settings()
     records = Records.open(settings)
     app = celery_app(settings)
-    wakeups = Wakeups(settings, celery_app(settings))
+    wakeups = Wakeups(settings)
     reaper = Reaper(records, wakeups)
     sweep(settings.scratch)
     drain = threading.Event()

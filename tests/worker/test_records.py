@@ -1,0 +1,117 @@
+"""The records as the service uses them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import text
+
+from tests.worker.conftest import small_spec
+from worker.migrations import NewerDatabase
+from worker.records import DesignRecord, DomainRecord, IdempotencyConflict, NewDesign, Records
+from worker.settings import Settings
+from worker.tables import Base
+
+
+def test_migrations_make_the_tables_that_the_code_uses(records: Records) -> None:
+    with records.database.engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+def test_processes_that_start_at_once_migrate_once(tmp_path: Path) -> None:
+    code = f"""
+from pathlib import Path
+from worker.records import Records
+from worker.settings import Settings
+Records.open(Settings(data_dir=Path({str(tmp_path)!r}))).ping()
+"""
+    started = [subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE) for _ in range(4)]
+    assert [(p.communicate()[1], p.returncode) for p in started] == [(b"", 0)] * 4
+
+
+def test_a_newer_database_is_refused(records: Records, settings: Settings) -> None:
+    with records.database.engine.begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(NewerDatabase, match="9999"):
+        Records.open(settings)
+
+
+def test_an_idempotency_key_gives_one_design(records: Records, domain: DomainRecord) -> None:
+    new = NewDesign(domain.id, small_spec())
+    first, made = records.create_design(new, ("key", "a" * 64))
+    second, made_again = records.create_design(new, ("key", "a" * 64))
+    assert (made, made_again) == (True, False)
+    assert first == second
+    with pytest.raises(IdempotencyConflict):
+        records.create_design(new, ("key", "b" * 64))
+    other, made_other = records.create_design(NewDesign(domain.id, small_spec(), owner="x"), ("key", "b" * 64))
+    assert made_other
+    assert other.id != first.id
+
+
+def test_pages_hold_every_design_once_newest_first(records: Records, domain: DomainRecord) -> None:
+    made = [records.create_design(NewDesign(domain.id, small_spec(), labels=(f"l{i % 2}",)))[0].id for i in range(23)]
+    seen: list[str] = []
+    cursor = None
+    while True:
+        page = records.designs(limit=5, cursor=cursor)
+        seen += [item.id for item in page.items]
+        if (cursor := page.next) is None:
+            break
+    assert sorted(seen, reverse=True) == seen
+    assert set(seen) == set(made)
+    assert len(records.designs(limit=50, label="l1").items) == 11
+    records.cancel(made[3])
+    assert [d.id for d in records.designs(status="cancelled").items] == [made[3]]
+    middle = records.design(made[10])
+    assert middle is not None
+    newer = records.designs(created_after=middle.created_at).items
+    older = records.designs(created_before=middle.created_at).items
+    assert len(newer) + len(older) == 23
+
+
+def test_deleting_leaves_no_row(records: Records, design: DesignRecord) -> None:
+    assert records.delete(design.id)
+    assert not records.delete(design.id)
+    assert records.design(design.id) is None
+    assert records.events(design.id) == ()
+    assert records.cancel(design.id) is None
+
+
+def test_ids_sort_by_time(records: Records, domain: DomainRecord) -> None:
+    made = [records.create_design(NewDesign(domain.id, small_spec()))[0] for _ in range(3)]
+    assert [d.created_at for d in made] == sorted(d.created_at for d in made)
+    assert len({d.id for d in made}) == 3
+
+
+def test_times_are_the_database_clocks(design: DesignRecord) -> None:
+    import time
+
+    assert abs(design.created_at - time.time()) < 5.0
+
+
+def _write(url: str, count: int) -> None:
+    records = Records.open(Settings(data_dir=Path(url)))
+    for i in range(count):
+        records.create_design(NewDesign("0" * 64, small_spec(seed=i)))
+    records.close()
+
+
+def test_processes_write_at_once_without_locking_each_other_out(tmp_path: Path) -> None:
+    records = Records.open(Settings(data_dir=tmp_path))
+    records.add_domain(id="0" * 64, sha256="0" * 64, size=1, name="x", suffix=".stl", units="mm", inspection={})
+    context = multiprocessing.get_context("spawn")
+    writers = [context.Process(target=_write, args=(str(tmp_path), 25)) for _ in range(3)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join(60)
+    assert [writer.exitcode for writer in writers] == [0, 0, 0]
+    assert records.counts() == {"queued": 75}
+    records.close()
