@@ -114,7 +114,7 @@ class Served:
 @pytest.fixture(scope="session")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """One service for all tests that do not break it."""
-    service = Served(tmp_path_factory.mktemp("served") / "data")
+    service = Served(tmp_path_factory.mktemp("served") / "data", "--queues", "cpu")
     yield service
     service.stop()
 
