@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dualms.body.body import Body, in_units
+from dualms.body.patches import WALL
 from dualms.booleans import Solid
 from dualms.triangles import TriangleMesh
 
@@ -46,8 +47,11 @@ def preview(body: Body, path: Path, width: int = 1280) -> None:
         ("hot and cold fluid", [(body.hot.mesh, HOT), (body.cold.mesh, COLD)], (half, int(0.6 * half))),
         ("solid", [(body.solid.part(body.solid_side == s), c) for s, c in _SIDES], (width - half, int(0.6 * half))),
     )
-    camera = _camera(body.solid.vertices)
-    pictures = [_labelled(render(parts, camera, size), title) for title, parts, size in views]
+    cameras = (_camera(body.solid.vertices), *(2 * [_camera(body.solid.vertices, _port_direction(body))]))
+    pictures = [
+        _labelled(render(parts, camera, size), title)
+        for (title, parts, size), camera in zip(views, cameras, strict=True)
+    ]
     sheet = Image.new("RGB", (width, pictures[0].height + pictures[1].height), "white")
     sheet.paste(pictures[0], (0, 0))
     sheet.paste(pictures[1], (0, pictures[0].height))
@@ -131,8 +135,17 @@ def _nearest_side(body: Body, points: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.asarray(body.solid_side[face])
 
 
-def _camera(points: NDArray[np.float64]) -> dict[str, Any]:
-    """A view from above the two longest sides."""
+def _port_direction(body: Body) -> NDArray[np.float64]:
+    """(3,) where most of the ports' area faces; zero where they face in opposite directions."""
+    faces = [fluid.mesh.crosses[fluid.patch > WALL].sum(axis=0) for fluid in (body.hot, body.cold)]
+    total = np.asarray(sum(faces), dtype=float)
+    length = float(np.linalg.norm(total))
+    area = sum(fluid.mesh.areas[fluid.patch > WALL].sum() for fluid in (body.hot, body.cold))
+    return total / length if length > area else np.zeros(3)
+
+
+def _camera(points: NDArray[np.float64], ports: NDArray[np.float64] | None = None) -> dict[str, Any]:
+    """A view from above the two longest sides, turned to the ports if there is a side that they face."""
     low, high = points.min(axis=0), points.max(axis=0)
     up = int((high - low).argmin())
     long = int((high - low).argmax())
@@ -140,12 +153,15 @@ def _camera(points: NDArray[np.float64]) -> dict[str, Any]:
     axes = np.eye(3)
     radius = float(np.linalg.norm(high - low)) / 2
     target = (low + high) / 2
-    direction = 1.6 * axes[up] - 1.0 * axes[side] - 0.25 * axes[long]
-    if np.linalg.det(np.stack([axes[long], axes[side], axes[up]])) < 0:
-        direction = 1.6 * axes[up] + 1.0 * axes[side] - 0.25 * axes[long]
+    left_handed = np.linalg.det(np.stack([axes[long], axes[side], axes[up]])) < 0
+    direction = 1.6 * axes[up] + (1.0 if left_handed else -1.0) * axes[side] - 0.25 * axes[long]
+    if ports is not None and ports.any():
+        level = ports - ports[up] * axes[up]
+        direction = 1.0 * axes[up] - 0.8 * np.cross(axes[up], level) + 1.4 * level
     direction /= np.linalg.norm(direction)
-    origin = target + 3.4 * radius * direction
-    right = 0.8 * radius * (axes[long] + 0.6 * axes[side])
+    flat = ports is None  # seen from above, a body is no higher than its second side
+    origin = target + (3.4 if flat else 4.1) * radius * direction
+    right = 0.8 * radius * np.cross(direction, axes[up])
     return {"origin": origin.tolist(), "target": target.tolist(), "up": axes[up].tolist(), "right": right}
 
 

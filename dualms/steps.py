@@ -49,7 +49,12 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
     ),
     "evaluate": ("evaluation.json", "report.json", "report.html"),
 }
-OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {"prepare": (), "solve": (), "build": (), "evaluate": ("evaluation.png", "case.zip")}
+OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {
+    "prepare": (),
+    "solve": (),
+    "build": (),
+    "evaluate": ("evaluation.png", "case.zip"),
+}
 INTERNAL: dict[Step, tuple[str, ...]] = {
     "prepare": ("prepared.safetensors", "timings-prepare.json"),
     "solve": ("timings-solve.json",),

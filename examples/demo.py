@@ -40,7 +40,8 @@ def main() -> int:
             service.send_signal(signal.SIGINT)
             service.wait(timeout=60)
     if code == 0:
-        print(f"\nLook at {asked.out}/preview.png and {asked.out}/report.html; the solid to print is {asked.out}/solid.3mf.")
+        out = asked.out
+        print(f"\nLook at {out}/preview.png and {out}/report.html; the solid to print is {out}/solid.3mf.")
     return code
 
 

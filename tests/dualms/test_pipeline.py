@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_patches_cover_each_fluids_boundary_once(designed: tuple[Path, Recorder]
         ranges = sorted(run for patch in document[fluid]["patches"] for run in patch["triangles"])
         assert ranges[0][0] == 0
         assert ranges[-1][1] == len(mesh.faces)
-        assert all(a[1] == b[0] for a, b in zip(ranges, ranges[1:], strict=False))
+        assert all(a[1] == b[0] for a, b in pairwise(ranges))
         names = [patch["name"] for patch in document[fluid]["patches"]]
         assert {"interface", "inlet-0", "outlet-0"} <= set(names)
 
@@ -107,7 +108,7 @@ def test_progress_names_every_stage_and_does_not_go_back(designed: tuple[Path, R
         fractions = [f for s, f in reports if s == stage]
         assert max(fractions) == 1
         # A stage may consist of two runs of the stopwatch: it starts again at 0 at most once.
-        assert sum(b < a for a, b in zip(fractions, fractions[1:], strict=False)) <= 1
+        assert sum(b < a for a, b in pairwise(fractions)) <= 1
 
 
 def test_the_page_is_self_contained(designed: tuple[Path, Recorder]) -> None:
