@@ -30,6 +30,10 @@ class StoreFull(OSError):
     """The store has no room for the bytes; nothing of them was kept."""
 
 
+class StoreAway(OSError):
+    """The object store does not answer, or refuses; it may answer later."""
+
+
 class TooManyBytes(Exception):
     """More bytes came than the caller allows; nothing of them was kept."""
 
@@ -245,7 +249,8 @@ class ObjectStore:
                     raise StoreFull(error.errno, "no room left for temporary files") from error
                 raise
             spool.seek(0)
-            obstore.put(self._store, self._key(digest), spool)
+            with _translated():
+                obstore.put(self._store, self._key(digest), spool)
         return Blob(digest, size)
 
     def get(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
@@ -258,15 +263,17 @@ class ObjectStore:
         end = size if end is None else min(end, size)
         if start >= end:
             return iter(())
-        result = obstore.get(self._store, self._key(sha256), options={"range": (start, end)})
-        return (bytes(chunk) for chunk in result.stream(min_chunk_size=CHUNK))
+        with _translated():
+            result = obstore.get(self._store, self._key(sha256), options={"range": (start, end)})
+        return _stream(result)
 
     def size(self, sha256: str) -> int | None:
         """Number of bytes, or None."""
         import obstore
 
         try:
-            return int(obstore.head(self._store, self._key(sha256))["size"])
+            with _translated():
+                return int(obstore.head(self._store, self._key(sha256))["size"])
         except FileNotFoundError:
             return None
 
@@ -274,7 +281,7 @@ class ObjectStore:
         """Remove the bytes."""
         import obstore
 
-        with contextlib.suppress(FileNotFoundError):
+        with contextlib.suppress(FileNotFoundError), _translated():
             obstore.delete(self._store, self._key(sha256))
 
     def list(self) -> Iterator[StoredBlob]:
@@ -302,6 +309,22 @@ class ObjectStore:
 
     def _key(self, sha256: str) -> str:
         return f"{_checked(sha256)[:2]}/{sha256[2:4]}/{sha256}"
+
+
+@contextlib.contextmanager
+def _translated() -> Iterator[None]:
+    from obstore.exceptions import BaseError
+
+    try:
+        yield
+    except BaseError as error:
+        raise StoreAway(f"the object store does not serve: {error}") from error
+
+
+def _stream(result: Any) -> Iterator[bytes]:
+    with _translated():
+        for chunk in result.stream(min_chunk_size=CHUNK):
+            yield bytes(chunk)
 
 
 def _checked(sha256: str) -> str:

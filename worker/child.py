@@ -227,6 +227,8 @@ def _outcome(message: dict[str, Any]) -> Outcome:
         return Outcome("failed", failure=Failure(**message["failure"]))
     if "missing" in message:
         return Outcome("missing", reason=f"{message['missing'][:12]}… is gone from the store")
+    if "away" in message:
+        return Outcome("lost", reason=message["away"])
     if "cancelled" in message:
         return Outcome("stopped", reason="asked to stop")
     return Outcome("done", result=message)

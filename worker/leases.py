@@ -93,14 +93,14 @@ class Leases:
         """Take the first step that waits in a queue; None where none waits."""
         d = tables.Design
         running = (
-            select(func.coalesce(d.owner, "").label("owner"), func.count().label("n"))
+            select(d.owner, func.count().label("n"))
             .where(d.status == "running", d.lease_until.is_not(None))
-            .group_by(func.coalesce(d.owner, ""))
+            .group_by(d.owner)
             .subquery()
         )
         first = (
             select(d.id)
-            .outerjoin(running, running.c.owner == func.coalesce(d.owner, ""))
+            .outerjoin(running, running.c.owner.is_not_distinct_from(d.owner))
             .where(d.queue == queue, d.status.in_(views.LIVE), d.lease_until.is_(None))
             .where(or_(d.deadline_at.is_(None), d.deadline_at > Now()))
             .order_by(d.priority.desc(), func.coalesce(running.c.n, 0), d.id)

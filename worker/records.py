@@ -72,7 +72,11 @@ class Records:
         """Connect, and bring the tables to the newest version; safe where several processes start at once."""
         settings.folder.mkdir(parents=True, exist_ok=True)
         database = Database(settings.database)
-        migrate(database.engine)
+        try:
+            migrate(database.engine)
+        except BaseException:
+            database.close()
+            raise
         return cls(database, settings)
 
     def close(self) -> None:

@@ -34,6 +34,7 @@ from worker.settings import Settings
 from worker.tasks import Station, register
 
 HEARTBEAT_S = 5.0
+DEAF_S = 30.0
 log = logging.getLogger(__name__)
 
 
@@ -68,6 +69,7 @@ def main() -> None:
     ended = threading.Event()
     every(HEARTBEAT_S, registration.beat, ended, "heartbeat")
     every(settings.reap_s, reaper.run_once, ended, "reaper")
+    every(settings.reap_s, lambda: _start_again_if_deaf(station), ended, "ears")
     every(settings.collect_s, lambda: collect(records, store), ended, "collector")
     log.info("serving queue %s as worker %s", queue, registration.id)
     worker = app.Worker(
@@ -140,6 +142,19 @@ def every(seconds: float, call: Callable[[], object], ended: threading.Event, na
                 log.exception("%s failed; it will be tried again", name)
 
     threading.Thread(target=loop, name=name, daemon=True).start()
+
+
+def _start_again_if_deaf(station: Station) -> None:
+    """End this process, to be started again, where messages wait, nothing runs, and none has come for a minute.
+
+    A consumer may lose its place after the broker was away; then only a new connection helps.
+    """
+    if station.drain.is_set() or station.pulse.runs or station.pulse.quiet_s < DEAF_S:
+        return
+    if station.wakeups.length(station.queue):
+        log.error("messages wait but none arrives; starting this process again")
+        os._exit(3)
+    station.pulse.touch()
 
 
 def _die_with_parent() -> None:

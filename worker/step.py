@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 
 from dualms.progress import Cancelled
 from dualms.spec import Spec
-from dualms.steps import ARTIFACTS, INTERNAL, OPTIONAL_ARTIFACTS, Step
+from dualms.steps import ARTIFACTS, CHECKPOINT, INTERNAL, OPTIONAL_ARTIFACTS, Step
 from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, fetch, open_store, put_file
 from worker.failures import Failure, failure_of
 from worker.settings import Settings
@@ -48,25 +48,46 @@ def main() -> None:
 def _outcome(job: dict[str, Any], channel: _Channel, cancel: threading.Event) -> dict[str, Any]:
     folder = Path.cwd()
     store = open_store(Settings())
-    progress = _Progress(channel, cancel, store, folder / "checkpoint")
+    progress = _Progress(channel, cancel, store, folder / CHECKPOINT)
     try:
         domain_file = _fetch_inputs(job, store, folder)
-        from dualms.pipeline import run_step
-
-        step: Step = job["step"]
-        run_step(step, folder, domain_file, Spec.model_validate(job["spec"]), progress, job["device"])
-        return {"files": _store_files(step, store, folder), "timings": progress.timings(), "metrics": _metrics(folder)}
+        _run(job, folder, domain_file, progress)
+        files = _store_files(job["step"], store, folder)
     except Cancelled:
         progress.save_checkpoint()
         return {"cancelled": True}
+    except _PipelineFailed as failed:
+        return {"failure": failed.failure.as_json()}
     except MissingBlob as error:
         return {"missing": str(error.args[0])}
     except StoreFull as error:
-        failure = Failure("store-full", "The artifact store has no room left.", "Free some space, then send it again.")
         logging.error("store full: %s", error)
+        failure = Failure("store-full", "The artifact store has no room left.", "Free some space, then send it again.")
         return {"failure": failure.as_json()}
-    except Exception as error:  # noqa: BLE001 - the floor's boundary: everything becomes a stored failure
-        return {"failure": failure_of(error).as_json()}
+    except OSError as error:  # the store or this machine's disk; another try may do
+        logging.exception("inputs or outputs")
+        return {"away": f"its files could not be moved: {type(error).__name__}"}
+    return {"files": files, "timings": progress.timings(), "metrics": _metrics(folder)}
+
+
+class _PipelineFailed(Exception):
+    def __init__(self, failure: Failure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
+
+
+def _run(job: dict[str, Any], folder: Path, domain_file: Path, progress: _Progress) -> None:
+    try:
+        from dualms.pipeline import run_step
+
+        run_step(job["step"], folder, domain_file, Spec.model_validate(job["spec"]), progress, job["device"])
+        missing = [name for name in (*ARTIFACTS[job["step"]], *INTERNAL[job["step"]]) if not (folder / name).exists()]
+        if missing:
+            raise RuntimeError(f"the step left no {missing}")
+    except Cancelled:
+        raise
+    except Exception as error:
+        raise _PipelineFailed(failure_of(error)) from error
 
 
 def _fetch_inputs(job: dict[str, Any], store: ArtifactStore, folder: Path) -> Path:
@@ -77,7 +98,7 @@ def _fetch_inputs(job: dict[str, Any], store: ArtifactStore, folder: Path) -> Pa
     if job["checkpoint"] is not None:
         try:
             with tarfile.open(fileobj=io.BytesIO(b"".join(store.get(job["checkpoint"]["sha256"])))) as archive:
-                archive.extractall(folder / "checkpoint", filter="data")
+                archive.extractall(folder / CHECKPOINT, filter="data")
         except (MissingBlob, tarfile.TarError) as error:
             logging.warning("starting without the checkpoint: %s", error)
     return domain_file
@@ -172,7 +193,11 @@ class _Progress:
         with tarfile.open(fileobj=packed, mode="w") as archive:
             for path in files:
                 archive.add(path, arcname=path.name)
-        blob = self._store.put([packed.getbuffer().tobytes()])
+        try:
+            blob = self._store.put([packed.getbuffer().tobytes()])
+        except OSError as error:
+            logging.warning("going on without storing the checkpoint: %s", error)
+            return
         self._saved = state
         self._channel.send({"checkpoint": {"sha256": blob.sha256, "size": blob.size}})
 

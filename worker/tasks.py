@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import logging
 import threading
-from dataclasses import dataclass
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from celery import Celery
 
@@ -17,6 +19,8 @@ from worker.child import Limits, Outcome, Watch, run_child
 from worker.failures import GPU_OUT_OF_MEMORY, Failure, failure_of
 from worker.leases import Lease, Leases, StepRecord, files_from
 from worker.logs import current_job
+from worker.patience import AWAY, patiently
+from worker.pulse import Pulse
 from worker.queue import TASK, Wakeups
 from worker.scratch import step_folder
 from worker.settings import Settings
@@ -36,6 +40,7 @@ class Station:
     store: ArtifactStore
     wakeups: Wakeups
     drain: threading.Event
+    pulse: Pulse = field(default_factory=Pulse)
 
     @property
     def device(self) -> str:
@@ -59,18 +64,19 @@ def register(app: Celery, station: Station) -> None:
 
 def take_one(station: Station) -> bool:
     """Carry out the step that is first in the queue; False if none waits or the worker is to end."""
+    station.pulse.touch()
     if station.drain.is_set():
         return False
     lease = station.leases.claim(station.queue, station.worker_id)
     if lease is None:
         return False
-    with current_job(lease.id):
+    with current_job(lease.id), station.pulse.busy():
         log.info("step %s, try %d", lease.step, lease.design.tries)
         try:
-            following = carry_out(station, lease)
-        except Exception as error:  # noqa: BLE001 - the task's boundary: whatever went wrong ends up in the record
-            station.leases.fail(lease, failure_of(error))
-            return True
+            following = _carry_out_or_record_why_not(station, lease)
+        except AWAY:
+            log.exception("the records are away; the lease runs out, and the step will be done again")
+            return False
         if following is not None and not following.final:
             station.wakeups.send(following)
     return True
@@ -79,19 +85,41 @@ def take_one(station: Station) -> bool:
 def carry_out(station: Station, lease: Lease) -> DesignRecord | None:
     """Carry out a claimed step. Returns the design where something is left to do with it."""
     leases, store = station.leases, station.store
-    result = leases.cached(lease)
+    patience_s = station.settings.lease_s
+    result = patiently(lambda: leases.cached(lease), patience_s)
     if result is not None:
         if all(store.size(file.sha256) == file.size for file in result.files):
             log.info("step %s: reused", lease.step)
-            return leases.commit(lease, StepRecord(result.files, result.metrics, {}), reused=True)
+            record = StepRecord(result.files, result.metrics, {})
+            return patiently(lambda: leases.commit(lease, record, reused=True), patience_s)
         leases.forget(lease.key)
     outcome = _run(station, lease)
     log.info("step %s: %s %s", lease.step, outcome.ending, outcome.reason)
+    return patiently(lambda: _record(station, lease, outcome), patience_s)
+
+
+def _carry_out_or_record_why_not(station: Station, lease: Lease) -> DesignRecord | None:
+    patience_s = station.settings.lease_s
+    try:
+        return carry_out(station, lease)
+    except AWAY:
+        raise
+    except OSError as error:  # the store or the scratch folder, not the design
+        reason = f"this machine could not run it: {type(error).__name__}"
+        log.exception("step %s: %s", lease.step, reason)
+        return patiently(lambda: station.leases.hand_back(lease, reason), patience_s)
+    except Exception as error:  # noqa: BLE001 - the task's boundary: whatever went wrong ends up in the record
+        failure = failure_of(error)
+        patiently(lambda: station.leases.fail(lease, failure), patience_s)
+        return None
+
+
+def _record(station: Station, lease: Lease, outcome: Outcome) -> DesignRecord | None:
+    leases = station.leases
     match outcome.ending:
         case "done":
             files = files_from(outcome.result["files"])
-            record = StepRecord(files, outcome.result["metrics"], outcome.result["timings"])
-            return leases.commit(lease, record)
+            return leases.commit(lease, StepRecord(files, outcome.result["metrics"], outcome.result["timings"]))
         case "failed":
             return _failed(station, lease, outcome.failure or failure_of(RuntimeError("no failure given")))
         case "missing":
@@ -112,22 +140,41 @@ def _run(station: Station, lease: Lease) -> Outcome:
         "checkpoint": lease.checkpoint,
         "device": station.device,
     }
+    hold = _Hold(station, lease)
     watch = Watch(
-        beat=lambda report: station.leases.renew(lease, report),
-        checkpoint=lambda sha256, size: station.leases.keep_checkpoint(lease, sha256, size),
+        beat=lambda report: hold.keep(lambda: station.leases.renew(lease, report)),
+        checkpoint=lambda sha256, size: hold.keep(lambda: station.leases.keep_checkpoint(lease, sha256, size)),
         drain=station.drain,
     )
     with step_folder(station.settings.scratch) as folder:
         return run_child(job, folder, station.limits, watch)
 
 
+class _Hold:
+    """Whether the lease still holds, as far as one can know while the records are away: until it would run out."""
+
+    def __init__(self, station: Station, lease: Lease) -> None:
+        self._until_s = station.settings.lease_s
+        self._lease = lease
+        self._kept = time.monotonic()
+
+    def keep(self, write: Callable[[], bool]) -> bool:
+        try:
+            kept = write()
+        except AWAY as error:
+            log.warning("cannot renew the lease: %s", error)
+            return time.monotonic() - self._kept < self._until_s
+        self._kept = time.monotonic()
+        return kept
+
+
 def _failed(station: Station, lease: Lease, failure: Failure) -> DesignRecord | None:
     """Record a failure; a GPU that is too small gets a smaller batch first, once, and the record says so."""
-    field = lease.spec.field
-    if failure.code == GPU_OUT_OF_MEMORY and isinstance(field, NeuralField) and "points" not in lease.hints:
-        points = max(field.points // 4, 64)
-        smaller: Spec = lease.spec.model_copy(update={"field": field.model_copy(update={"points": points})})
-        reason = f"the GPU's memory is too small for {field.points} points a step; again with {points}"
+    method = lease.spec.field
+    if failure.code == GPU_OUT_OF_MEMORY and isinstance(method, NeuralField) and "points" not in lease.hints:
+        points = max(method.points // 4, 64)
+        smaller: Spec = lease.spec.model_copy(update={"field": method.model_copy(update={"points": points})})
+        reason = f"the GPU's memory is too small for {method.points} points a step; again with {points}"
         return station.leases.hand_back(lease, reason, spec=smaller, points=points)
     station.leases.fail(lease, failure)
     return None

@@ -195,7 +195,7 @@ def wait_for(what: Callable[[], Any], seconds: float = 60.0) -> Any:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"), DUALMS_DRAIN_S="2")
     cluster.start_worker()
     yield cluster
     cluster.close()

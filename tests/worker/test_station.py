@@ -85,7 +85,7 @@ def test_a_stopped_worker_hands_back_what_runs(cluster: Cluster) -> None:
     made = cluster.submit(seed=2, field={"method": "neural", "steps": 50_000})
     wait_for(lambda: cluster.design(made.id).step == "solve" and cluster.steps(), 90)
     took = cluster.stop_worker()
-    assert took < 22
+    assert took < 12
     record = cluster.design(made.id)
     assert (record.status, record.step, record.tries) == ("running", "solve", 0)
     assert cluster.steps() == []
