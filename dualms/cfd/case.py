@@ -34,6 +34,8 @@ class FlowControl:
         Momentum convection: ``linear-upwind`` (second order) or ``upwind``.
     velocity_relaxation, pressure_relaxation
         Factors of the two equations.
+    envelope
+        ``noSlip``, or ``slip`` for a slice of a wide channel.
     window
         Pressure drops are averaged over so many last iterations.
     drift
@@ -46,6 +48,7 @@ class FlowControl:
     scheme: str = "linear-upwind"
     velocity_relaxation: float = 0.9
     pressure_relaxation: float = 1.0
+    envelope: str = "noSlip"
     window: int = 50
     drift: float = 0.01
     steady: float = 1e-4
@@ -53,6 +56,8 @@ class FlowControl:
     def __post_init__(self) -> None:
         if self.iterations < 1 or self.scheme not in SCHEMES:
             raise ValueError("a flow needs at least one iteration and a known scheme")
+        if self.envelope not in ("noSlip", "slip"):
+            raise ValueError("the envelope is noSlip or slip")
 
 
 @dataclass(frozen=True)
@@ -107,7 +112,7 @@ def write_case(
         "inlet": {"type": "fixedValue", "value": velocity},
         "outlet": {"type": "inletOutlet", "inletValue": "uniform (0 0 0)", "value": "uniform (0 0 0)"},
         "wall": still,
-        "envelope": still,
+        "envelope": {"type": control.envelope},
     }
     pressures: dict[str, dict[str, object]] = {
         "inlet": slope,

@@ -150,8 +150,7 @@ def _attempt(
     history: list[float] = []
     residuals: dict[str, float] = {}
     states: list[str] = []
-    # A bound far above any sane value: the dynamic pressure of the whole flow through one voxel.
-    ceiling = fluid.density_kg_m3 * (fluid.mass_flow_kg_s / fluid.density_kg_m3 / mesh.face_area_m2) ** 2
+    ceiling = _ceiling(mesh, fluid)
 
     def on_line(line: str) -> None:
         found = _RESIDUAL.search(line)
@@ -197,6 +196,13 @@ def _attempt(
         notes,
         seconds,
     )
+
+
+def _ceiling(mesh: ChannelMesh, fluid: FluidSpec) -> float:
+    """A pressure drop (Pa) far above any sane one: the whole flow through one voxel after the other."""
+    speed = fluid.mass_flow_kg_s / fluid.density_kg_m3 / mesh.face_area_m2
+    friction = 100.0 * fluid.viscosity_pa_s * speed * len(mesh.cells) / mesh.spacing_m
+    return fluid.density_kg_m3 * speed**2 + friction
 
 
 def _read(folder: Path, mesh: ChannelMesh, fluid: FluidSpec) -> tuple[Array, Array, Array, float]:

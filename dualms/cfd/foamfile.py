@@ -115,7 +115,7 @@ def _values(data: bytes, at: int, count: int, width: int) -> tuple[NDArray[np.fl
         one = np.array(data[head.end() : end].strip(b" ()").split(), dtype=float)
         values = np.tile(one, (count, 1))
     else:
-        if re.compile(rb"List<\w+>\s*0\s*\(?\)?;?").match(data, head.end()):
+        if count == 0 and re.compile(rb"(List<\w+>\s*)?0\b").match(data, head.end()):
             return np.zeros((0, 3) if width == 3 else 0), head.end()
         size = re.compile(rb"List<\w+>\s*(\d+)\s*\(").match(data, head.end())
         if size is None or int(size.group(1)) != count:

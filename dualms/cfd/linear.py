@@ -42,6 +42,7 @@ def solve_upwind(matrix: sparse.csr_array, rhs: Array, order: NDArray[np.int64],
     permuted.sort_indices()
     right = rhs[order]
     start = np.full(len(right), right.sum() / matrix.sum())  # the uniform temperature of the same total balance
+    rounding = 1e-13 * float(np.linalg.norm(permuted.diagonal() * start))
     right = right - permuted @ start
     factors, diagonal = _factorise(permuted.indptr, permuted.indices, permuted.data)
 
@@ -49,7 +50,7 @@ def solve_upwind(matrix: sparse.csr_array, rhs: Array, order: NDArray[np.int64],
         return np.asarray(_back_substitute(permuted.indptr, permuted.indices, factors, diagonal, vector))
 
     preconditioner = LinearOperator(permuted.shape, matvec=precondition, dtype=float)
-    change, failed = bicgstab(permuted, right, rtol=tolerance, maxiter=500, M=preconditioner)
+    change, failed = bicgstab(permuted, right, rtol=tolerance, atol=rounding, maxiter=500, M=preconditioner)
     if failed or not np.isfinite(change).all():
         raise EvaluationFailed(
             f"The temperatures' equations on {len(rhs)} cells did not converge.",
