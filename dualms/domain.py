@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from dualms.errors import DisconnectedDomain
-from dualms.grid import Array, Grid
+from dualms.grid import Array, Grid, thinned
 from dualms.mesh import DomainMesh
 from dualms.ports import Port
 
@@ -138,7 +138,8 @@ class Domain:
         found = []
         for port in self.ports:
             inward = port.samples - 0.5 * grid.spacing * port.normal
-            _, nearest = tree.query(inward)
+            # One sample in each cube of half a voxel does: samples are much finer than most grids.
+            _, nearest = tree.query(thinned(inward, 0.5 * grid.spacing))
             found.append(interior[np.unique(nearest)])
         return tuple(found)
 

@@ -79,3 +79,11 @@ class Grid:
         """Values at ``points`` (P, 3) by interpolation of ``values`` (of the grid's shape); constant beyond it."""
         coordinates = ((points - self.origin) / self.spacing).T
         return np.asarray(ndimage.map_coordinates(values, coordinates, order=order, mode="nearest"), dtype=float)
+
+
+def thinned(points: Array, size: float) -> Array:
+    """The first of ``points`` (P, 3) in each cube of edge ``size``, in their order."""
+    cells = np.floor(points / size).astype(np.int64)
+    cells -= cells.min(axis=0, initial=0)
+    keys = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0, initial=0) + 1))
+    return np.asarray(points[np.sort(np.unique(keys, return_index=True)[1])])

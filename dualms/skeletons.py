@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.graph.graph import Graph
-from dualms.grid import Array
+from dualms.grid import Array, thinned
 from dualms.ports import Port
 
 SPACING = 1 / 256  # paper, section 6.1
@@ -77,7 +77,7 @@ def skeletons(domain: Domain, graph: Graph, partition: Partition) -> Skeletons:
             plug = plug[domain.signed_distance(plug) > -0.5 * SPACING]
             joined[port.fluid].append(plug[other.query(plug)[0] > CLEARANCE])
         joined[port.fluid] += [_clear_part(sample_segments(*stub), other) for stub in stubs]
-    hot, cold = (_thinned(np.concatenate(joined[side])) for side in (1, -1))
+    hot, cold = (thinned(np.concatenate(joined[side]), 0.5 * SPACING) for side in (1, -1))
     return Skeletons(hot, cold, edges[1], edges[-1])
 
 
@@ -123,12 +123,13 @@ def _clear_part(samples: Array, other: cKDTree) -> Array:
 
 def _opening_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKDTree) -> list[tuple[Array, Array]]:
     """Straight stubs from the fluid's sites at a shared opening to the part of it in their own cells."""
-    sites = nearest.query(port.samples)[1]
+    samples = thinned(port.samples, SPACING)
+    sites = nearest.query(samples)[1]
     stubs = []
     for site in np.unique(sites):
         if labels[site] != port.fluid:
             continue
-        own = port.samples[sites == site]
+        own = samples[sites == site]
         # The middle of the cell's part of the opening; a segment from a site to its own cell stays in the cell.
         middle = own[((own - own.mean(axis=0)) ** 2).sum(axis=1).argmin()]
         stubs.append((graph.sites[site : site + 1], middle[None]))
@@ -137,7 +138,7 @@ def _opening_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: 
 
 def _port_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKDTree) -> list[tuple[Array, Array]]:
     """Straight stubs from a dedicated port to the sites of its fluid that it lies next to."""
-    own = np.unique(nearest.query(port.samples)[1])
+    own = np.unique(nearest.query(thinned(port.samples, SPACING))[1])
     own = own[labels[own] == port.fluid]
     if len(own) == 0:
         same = np.flatnonzero(labels == port.fluid)
@@ -149,13 +150,6 @@ def _port_stubs(port: Port, graph: Graph, labels: NDArray[np.int8], nearest: cKD
 def _plug(port: Port) -> Array:
     """Points over the port's area, pushed inward layer by layer."""
     depth = max(LEAST_PLUG, PLUG_DEPTH * port.radius)
-    face = _thinned(port.samples, PLUG_SPACING)
+    face = thinned(port.samples, PLUG_SPACING)
     layers = np.linspace(0.0, depth, int(np.ceil(depth / PLUG_SPACING)) + 1)
     return np.concatenate([face - layer * port.normal for layer in layers])
-
-
-def _thinned(points: Array, size: float = 0.5 * SPACING) -> Array:
-    """The first point in each cube of edge ``size``: samples that coincide add nothing."""
-    keys = np.floor(points / size).astype(np.int64)
-    _, first = np.unique(keys, axis=0, return_index=True)
-    return np.asarray(points[np.sort(first)])
