@@ -172,44 +172,7 @@ class Records:
                         return views.design_record(row), False
                     session.delete(known)  # the design was deleted since
                     session.flush()
-            step = steps_of(new.spec)[0]
-            row = tables.Design(
-                id=design_id or new_id(),
-                domain_id=new.domain_id,
-                spec=new.spec.model_dump(mode="json"),
-                name=new.name,
-                labels=list(new.labels),
-                webhook=new.webhook,
-                owner=new.owner,
-                study_id=new.study_id,
-                priority=new.priority,
-                status="queued",
-                step=step,
-                queue=queue_of(step, new.spec, self._live_queues(session)),
-                stage=None,
-                progress=0.0,
-                note="",
-                attempt=0,
-                tries=0,
-                lease_until=None,
-                worker_id=None,
-                dispatched_at=now,
-                waiting_since=now,
-                created_at=now,
-                started_at=None,
-                finished_at=None,
-                deadline_at=now + new.deadline_s if new.deadline_s is not None else None,
-                timings={},
-                metrics={},
-                error=None,
-                checkpoint=None,
-                hints={},
-                version=1,
-            )
-            session.add(row)
-            session.flush()
-            session.add_all(tables.DesignLabel(label=label, design_id=row.id) for label in sorted(set(new.labels)))
-            session.add(tables.Event(design_id=row.id, sequence=1, kind="queued", data={}, created_at=now))
+            row = add_design(session, new, design_id or new_id(), now, self._live_queues(session))
             if idempotency is not None:
                 key, digest = idempotency
                 session.add(
@@ -380,6 +343,61 @@ def new_id() -> str:
     return f"{time.time_ns() // 1_000_000:012x}{secrets.token_hex(10)}"
 
 
+def add_design(session: Session, new: NewDesign, design_id: str, now: float, live: frozenset[str]) -> tables.Design:
+    """Write the rows of a queued design.
+
+    Parameters
+    ----------
+    session
+        One that writes.
+    new, design_id
+        What to make, and its id.
+    now
+        Seconds since 1970 by the database's clock.
+    live
+        Queues that some worker serves.
+    """
+    step = steps_of(new.spec)[0]
+    row = tables.Design(
+        id=design_id,
+        domain_id=new.domain_id,
+        spec=new.spec.model_dump(mode="json"),
+        name=new.name,
+        labels=list(new.labels),
+        webhook=new.webhook,
+        owner=new.owner,
+        study_id=new.study_id,
+        priority=new.priority,
+        status="queued",
+        step=step,
+        queue=queue_of(step, new.spec, live),
+        stage=None,
+        progress=0.0,
+        note="",
+        attempt=0,
+        tries=0,
+        lease_until=None,
+        worker_id=None,
+        dispatched_at=now,
+        waiting_since=now,
+        created_at=now,
+        started_at=None,
+        finished_at=None,
+        deadline_at=now + new.deadline_s if new.deadline_s is not None else None,
+        timings={},
+        metrics={},
+        error=None,
+        checkpoint=None,
+        hints={},
+        version=1,
+    )
+    session.add(row)
+    session.flush()
+    session.add_all(tables.DesignLabel(label=label, design_id=row.id) for label in sorted(set(new.labels)))
+    session.add(tables.Event(design_id=row.id, sequence=1, kind="queued", data={}, created_at=now))
+    return row
+
+
 def live_queues(session: Session, gone_s: float) -> frozenset[str]:
     """Queues with a worker that has shown signs of life within ``gone_s``."""
     w = tables.Worker
@@ -451,6 +469,7 @@ __all__ = [
     "QueueFacts",
     "Records",
     "WorkerRecord",
+    "add_design",
     "change",
     "end",
     "live_queues",
