@@ -1,7 +1,11 @@
-"""The OpenAPI document: what FastAPI derives, with our problem documents in place of its own."""
+"""The OpenAPI document: what FastAPI derives, completed by what it cannot see.
+
+The body of POST /v1/designs is read by hand (JSON or a form), and refusals are problem documents.
+"""
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from fastapi import FastAPI
@@ -11,7 +15,9 @@ from pydantic.json_schema import models_json_schema
 from service.designs.schemas import DesignIn
 from service.problems import ProblemDocument
 
-_PREFIX = "#/components/schemas/{model}"
+Schemas = dict[str, Any]
+
+_TEMPLATE = "#/components/schemas/{model}"
 
 
 def describe(app: FastAPI) -> None:
@@ -30,13 +36,62 @@ def _document(app: FastAPI) -> dict[str, Any]:
         title=app.title,
         version=app.version,
         summary=app.summary,
+        description=app.description,
         routes=app.routes,
         license_info=app.license_info,
     )
-    schemas = document["components"]["schemas"]
+    schemas: Schemas = document["components"]["schemas"]
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
-    _, extra = models_json_schema([(DesignIn, "validation"), (ProblemDocument, "serialization")], ref_template=_PREFIX)
-    for name, schema in extra["$defs"].items():
-        schemas.setdefault(name, schema)
+    _, problem = models_json_schema([(ProblemDocument, "serialization")], ref_template=_TEMPLATE)
+    schemas.update(problem["$defs"])
+    _, sent = models_json_schema([(DesignIn, "validation")], ref_template=_TEMPLATE)
+    schemas.update(_told_apart(sent["$defs"], schemas))
+    document["paths"]["/v1/designs"]["post"]["requestBody"] = _design_body(schemas)
     return document
+
+
+def _told_apart(sent: Schemas, known: Schemas) -> Schemas:
+    """Schemas of what is sent, renamed where an answer's schema of the same name differs, with all that lead there."""
+    renamed: set[str] = set()
+    while True:
+        mapped = {name: _renamed(schema, renamed) for name, schema in sent.items()}
+        more = {n for n, schema in mapped.items() if n not in renamed and n in known and schema != known[n]}
+        if not more:
+            return {f"{n}-Input" if n in renamed else n: schema for n, schema in mapped.items()}
+        renamed |= more
+
+
+def _renamed(schema: Any, names: set[str]) -> Any:
+    text = json.dumps(schema)
+    for name in names:
+        text = text.replace(f'"{_TEMPLATE.format(model=name)}"', f'"{_TEMPLATE.format(model=name)}-Input"')
+    return json.loads(text)
+
+
+def _design_body(schemas: Schemas) -> dict[str, Any]:
+    spec = "Spec-Input" if "Spec-Input" in schemas else "Spec"
+    options = schemas["DesignIn"]["properties"]
+    form = {
+        "type": "object",
+        "required": ["domain", "spec"],
+        "additionalProperties": False,
+        "properties": {
+            "domain": {"type": "string", "format": "binary", "description": "The envelope's file."},
+            "spec": {"$ref": _TEMPLATE.format(model=spec)},
+            "name": {"type": "string", "minLength": 1, "maxLength": 200, "description": options["name"]["description"]},
+            "labels": {"type": "string", "description": "For filters, with commas between."},
+            "deadline_s": {
+                "type": "number",
+                "exclusiveMinimum": 0,
+                "description": options["deadline_s"]["description"],
+            },
+        },
+    }
+    return {
+        "required": True,
+        "content": {
+            "application/json": {"schema": {"$ref": _TEMPLATE.format(model="DesignIn")}},
+            "multipart/form-data": {"schema": form, "encoding": {"spec": {"contentType": "application/json"}}},
+        },
+    }

@@ -13,7 +13,7 @@ from service.conditional import wait_s
 from service.designs.following import design_answer, follow, wait_for
 from service.designs.listing import Filters, list_page
 from service.designs.requests import read_request
-from service.designs.schemas import DesignIn, DesignOut, DesignPage
+from service.designs.schemas import DesignOut, DesignPage
 from service.designs.submission import submit
 from service.designs.views import FINAL
 from service.events import event_stream, last_event_id
@@ -24,27 +24,6 @@ router = APIRouter(prefix="/v1/designs", tags=["designs"])
 DesignId = Annotated[str, Path(pattern="^[0-9a-f]{32}$", description="Id of a design.")]
 Prefer = Annotated[str | None, Header(description="`wait=N`: answer after up to N seconds, when there is news.")]
 
-_FORM = {
-    "type": "object",
-    "required": ["domain", "spec"],
-    "additionalProperties": False,
-    "properties": {
-        "domain": {"type": "string", "format": "binary", "description": "The envelope's file."},
-        "spec": {"$ref": "#/components/schemas/Spec-Input"},
-        "name": {"type": "string", "minLength": 1, "maxLength": 200},
-        "labels": {"type": "string", "description": "With commas between."},
-        "deadline_s": {"type": "number", "exclusiveMinimum": 0},
-    },
-}
-_BODY = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "application/json": {"schema": {"$ref": f"#/components/schemas/{DesignIn.__name__}"}},
-            "multipart/form-data": {"schema": _FORM},
-        },
-    }
-}
 _HEADERS = {
     "Location": {"description": "Address of the design.", "schema": {"type": "string"}},
     "Retry-After": {"description": "Seconds to the next look.", "schema": {"type": "integer"}},
@@ -52,7 +31,7 @@ _HEADERS = {
 }
 
 
-@router.post("", status_code=202, response_model=DesignOut, openapi_extra=_BODY,
+@router.post("", status_code=202, response_model=DesignOut,
              responses={202: {"headers": _HEADERS}, **answers(400, 404, 413, 415, 422)})  # fmt: skip
 async def create_design(
     backend: BackendDep,

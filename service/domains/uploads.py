@@ -13,7 +13,7 @@ from service.backend import Backend
 from worker.artifacts import put_file, read_chunks
 from worker.records import DomainRecord
 
-SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf")
+SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
 MAX_NAME = 200
 
 
