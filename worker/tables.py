@@ -83,6 +83,22 @@ class Design(Base):
     version: Mapped[int]  # grows with every visible change; also the sequence of the last event
 
 
+class Study(Base):
+    """A grid over the specification; its designs name it in ``study_id``."""
+
+    __tablename__ = "studies"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)  # sorts by time of creation
+    domain_id: Mapped[str] = mapped_column(ForeignKey("domains.id"), index=True)
+    name: Mapped[str | None] = mapped_column(Text)
+    labels: Mapped[list[str]]
+    owner: Mapped[str | None] = mapped_column(String(64), index=True)
+    spec: Mapped[Json]  # as it was sent
+    grid: Mapped[Json]  # {"axes": [[path, values], …]}: lists keep their order
+    metrics: Mapped[list[str]]
+    points: Mapped[Json]  # {"points": [[{path: value}, id of the design], …]}
+    created_at: Mapped[float]
+
+
 class DesignLabel(Base):
     """Index of labels."""
 
@@ -162,5 +178,5 @@ class IdempotencyKey(Base):
     owner: Mapped[str] = mapped_column(String(64), primary_key=True)  # "" for nobody
     key: Mapped[str] = mapped_column(String(255), primary_key=True)
     request_sha256: Mapped[str] = mapped_column(String(64))
-    design_id: Mapped[str] = mapped_column(String(32), index=True)
+    design_id: Mapped[str] = mapped_column(String(32), index=True)  # or the study's
     created_at: Mapped[float] = mapped_column(index=True)
