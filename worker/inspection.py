@@ -1,7 +1,7 @@
 """Reading an upload in a jailed child: limited address space, CPU and wall time, an empty folder, no environment.
 
 The mesh formats' readers can be made to take gigabytes by a file of a megabyte, and to raise anything; see
-``dualms.mesh`` for what they check. Whatever happens in the child, the caller gets a record or a ``DualMSError``.
+``dualms.reading`` for what they check. Whatever happens in the child, the caller gets a record or a ``DualMSError``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dualms.spec import Unit
 from worker.settings import Settings
 
 if TYPE_CHECKING:
-    from dualms.mesh import Inspection
+    from dualms.reading import Inspection
 
 _OUTPUT_LIMIT = 64 << 20
 
@@ -45,7 +45,7 @@ def inspect_upload(path: Path, filename: str, units: Unit | None, settings: Sett
     Raises
     ------
     DualMSError
-        Whatever ``dualms.mesh.inspect_file`` refuses; :class:`~dualms.errors.TooLarge` where the child hit a limit;
+        Whatever ``dualms.reading.inspect_file`` refuses; :class:`~dualms.errors.TooLarge` where the child hit a limit;
         :class:`~dualms.errors.UnreadableFile` where it ended in any other way.
     """
     request = {
@@ -83,7 +83,7 @@ def _import_path() -> list[str]:
 
 
 def _result(done: subprocess.CompletedProcess[bytes], settings: Settings) -> Inspection:
-    from dualms.mesh import Inspection
+    from dualms.reading import Inspection
 
     answer: dict[str, Any] = {}
     if done.returncode == 0 and len(done.stdout) <= _OUTPUT_LIMIT:

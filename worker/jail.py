@@ -29,7 +29,7 @@ def _limit(request: dict[str, Any]) -> None:
 
 def _answer(request: dict[str, Any]) -> dict[str, Any]:
     from dualms.errors import DualMSError
-    from dualms.mesh import inspect_file
+    from dualms.reading import inspect_file
     from dualms.spec import Unit
 
     try:

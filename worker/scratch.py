@@ -20,11 +20,11 @@ log = logging.getLogger(__name__)
 
 
 @contextmanager
-def step_folder(scratch: Path) -> Iterator[Path]:
-    """An empty folder for one step; its name says whose it is."""
+def step_folder(scratch: Path, job_id: str) -> Iterator[Path]:
+    """An empty folder for one step; its name says whose it is and for which design."""
     scratch.mkdir(parents=True, exist_ok=True)
     pid = os.getpid()
-    folder = Path(tempfile.mkdtemp(prefix=f"step-{pid}-{int(started_at(pid) * 100)}-", dir=scratch))
+    folder = Path(tempfile.mkdtemp(prefix=f"step-{pid}-{int(started_at(pid) * 100)}-{job_id}-", dir=scratch))
     try:
         yield folder
     finally:

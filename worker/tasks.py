@@ -146,7 +146,7 @@ def _run(station: Station, lease: Lease) -> Outcome:
         checkpoint=lambda sha256, size: hold.keep(lambda: station.leases.keep_checkpoint(lease, sha256, size)),
         drain=station.drain,
     )
-    with step_folder(station.settings.scratch) as folder:
+    with step_folder(station.settings.scratch, lease.id) as folder:
         return run_child(job, folder, station.limits, watch)
 
 
