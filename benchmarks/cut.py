@@ -29,8 +29,9 @@ from dualms.cut.start import first_partition
 from dualms.domain import Domain
 from dualms.flow import flow_field
 from dualms.graph.graph import Graph, site_graph
-from dualms.mesh import DomainMesh, read_domain_mesh
+from dualms.mesh import DomainMesh
 from dualms.ports import resolve_ports
+from dualms.reading import read_domain_mesh
 from dualms.skeletons import skeletons
 from dualms.spec import FluidsSpec, GraphSpec, PartitionSpec, PotentialFlow, Spec, Unit
 

@@ -16,9 +16,9 @@ from dualms.field.solve import solve_field
 from dualms.flow import flow_field
 from dualms.graph.graph import Graph, site_graph
 from dualms.measure.report import make_report
-from dualms.mesh import read_domain_mesh
 from dualms.ports import resolve_ports
 from dualms.progress import Progress
+from dualms.reading import read_domain_mesh
 from dualms.skeletons import Skeletons, skeletons, write_json
 from dualms.spec import AutoField, ShellSpec, Spec, Unit
 from dualms.steps import CHECKPOINT, Step, sha256_of

@@ -271,6 +271,18 @@ class ShellSpec(Model):
     thickness: Length = Field(1.0, description="Thickness (units). Ours: twice the default wall.")
 
 
+class RequireSpec(Model):
+    """Requirements on the report's figures; each becomes a line of the certificate. SI units."""
+
+    min_channel_m: float | None = Field(None, gt=0, description="Least channel width of either fluid.")
+    min_passage_m: float | None = Field(None, gt=0, description="Largest ball that gets through either fluid.")
+    min_wall_m: float | None = Field(None, gt=0, description="Measured wall thickness, 1st percentile.")
+    max_dead_end_fraction: float | None = Field(None, ge=0, le=1, description="Stagnant share of either fluid.")
+    max_overhang_fraction: float | None = Field(None, ge=0, le=1, description="Surface that faces down below 45°.")
+    max_solid_fraction: float | None = Field(None, gt=0, le=1, description="Solid over the envelope's volume.")
+    min_area_density_per_m: float | None = Field(None, gt=0, description="Surface over the envelope's volume.")
+
+
 # --- evaluate ---------------------------------------------------------------------------------------------------
 
 
@@ -313,6 +325,7 @@ class Spec(Model):
     wall: WallThickness | WallFraction = Field(default=WallThickness())
     shell: ShellSpec | None = Field(default=ShellSpec())
     build_direction: Point = Field((0.0, 0.0, 1.0), description="Up in the printer.")
+    require: RequireSpec = Field(default=RequireSpec(), description="What the certificate must also meet.")
     evaluation: EvaluationSpec | None = Field(None, description="Solve the flow too (needs a cfd worker).")
     seed: int = Field(0, ge=0, lt=2**32, description="Seed of everything random.")
 

@@ -90,7 +90,7 @@ def step_keys(domain_sha256: str, spec: Spec) -> dict[Step, str]:
     parameters: dict[Step, object] = {
         "prepare": [document["units"], ports, document["flow"], document["graph"], document["partition"], spec.seed],
         "solve": [document["field"], spec.seed],
-        "build": [document[k] for k in ("surface", "wall", "shell", "build_direction")],
+        "build": [document[k] for k in ("surface", "wall", "shell", "build_direction", "require")],
         "evaluate": [document["evaluation"], document["fluids"]],
     }
     keys: dict[Step, str] = {}

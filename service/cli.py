@@ -217,7 +217,7 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Look at a domain file: size, volume, the planar facets that ports can name, problems."""
-    from dualms.mesh import inspect_file
+    from dualms.reading import inspect_file
     from service.tables import inspection_tables
 
     with err.status("reading…"):

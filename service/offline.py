@@ -54,8 +54,8 @@ def design_here(domain: Path, spec: Spec, folder: Path) -> Path:
     DualMSError
         If the inputs cannot become a design.
     """
-    from dualms.mesh import inspect_file
     from dualms.pipeline import run_step
+    from dualms.reading import inspect_file
     from service.tables import progress_console
 
     gpu = gpu_found()

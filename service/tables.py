@@ -11,7 +11,7 @@ from rich.table import Table
 from service.doctor import Finding
 
 if TYPE_CHECKING:
-    from dualms.mesh import Inspection
+    from dualms.reading import Inspection
 
 _MARKS = {"good": "[green]✓[/green]", "missing": "[bold red]✗[/bold red]", "optional": "[yellow]–[/yellow]"}
 

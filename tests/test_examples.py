@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dualms.mesh import read_domain_mesh
 from dualms.ports import resolve_ports
+from dualms.reading import read_domain_mesh
 from dualms.spec import Spec, Unit
 
 EXAMPLES = Path(__file__).parent.parent / "examples"

@@ -12,9 +12,12 @@ from dualms.triangles import TriangleMesh
 
 OVERHANG_DEGREES = 45.0  # the usual limit of laser powder-bed fusion without supports
 SAMPLES = 20_000
+DIRECTIONS = 400
+
+Array = NDArray[np.float64]
 
 
-def wall_thicknesses(body: Body, seed: int) -> NDArray[np.float64]:
+def wall_thicknesses(body: Body, seed: int) -> Array:
     """(S,) thickness of the separating wall, metres, at random points of the hot interface.
 
     The distance from the hot side's interface to the cold side's. Points within two wall thicknesses of the other
@@ -33,16 +36,39 @@ def wall_thicknesses(body: Body, seed: int) -> NDArray[np.float64]:
     return _distance(points[keep] if keep.any() else points, cold)
 
 
-def overhang_fraction(mesh: TriangleMesh, up: NDArray[np.float64]) -> float:
+def overhang_fraction(mesh: TriangleMesh, up: Array) -> float:
     """Share of a solid's surface that faces down more steeply than 45° to the build direction."""
-    up = up / np.linalg.norm(up)
-    cosines = mesh.crosses @ up / np.maximum(np.linalg.norm(mesh.crosses, axis=1), 1e-300)
-    base = mesh.vertices @ up
-    on_plate = (base[mesh.faces] < base.min() + 1e-6 * np.ptp(base)).all(axis=1)
-    down = (cosines < -np.sin(np.radians(OVERHANG_DEGREES)) - 1e-9) & ~on_plate
-    return float(mesh.areas[down].sum() / mesh.area)
+    return float(_overhangs(mesh, up[None] / np.linalg.norm(up))[0])
 
 
-def _distance(points: NDArray[np.float64], mesh: TriangleMesh) -> NDArray[np.float64]:
+def best_build_direction(mesh: TriangleMesh) -> tuple[Array, float]:
+    """The direction of least overhang among the axes and 400 directions spread evenly, and its overhang share."""
+    index = np.arange(DIRECTIONS) + 0.5
+    height, angle = 1 - 2 * index / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * index  # Fibonacci lattice on the sphere
+    across = np.sqrt(1 - height**2)
+    spread = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+    directions = np.concatenate([np.eye(3), -np.eye(3), spread])
+    found = _overhangs(mesh, directions)
+    best = int(found.argmin())
+    return directions[best], float(found[best])
+
+
+def _overhangs(mesh: TriangleMesh, directions: Array) -> Array:
+    """(D,) overhang share for each unit direction (D, 3); what lies on the building plate is no overhang."""
+    crosses = mesh.crosses
+    lengths = np.linalg.norm(crosses, axis=1)
+    normals = crosses / np.maximum(lengths, 1e-300)[:, None]
+    limit = -np.sin(np.radians(OVERHANG_DEGREES)) - 1e-9
+    shares = np.empty(len(directions))
+    for k, up in enumerate(directions):
+        down = normals @ up < limit
+        height = mesh.vertices @ up
+        plate = height.min() + 1e-6 * np.ptp(height)
+        down[down] = (height[mesh.faces[down]] > plate).any(axis=1)
+        shares[k] = lengths[down].sum() / lengths.sum()
+    return shares
+
+
+def _distance(points: Array, mesh: TriangleMesh) -> Array:
     squared, _, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), mesh.vertices, mesh.faces)
     return np.asarray(np.sqrt(squared))

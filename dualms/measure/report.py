@@ -21,8 +21,8 @@ from dualms.domain import Domain
 from dualms.field.field import Field
 from dualms.measure.channels import Channel, measure_channel
 from dualms.measure.curvature import mean_curvature
-from dualms.measure.printing import overhang_fraction, wall_thicknesses
-from dualms.spec import Spec
+from dualms.measure.printing import best_build_direction, overhang_fraction, wall_thicknesses
+from dualms.spec import RequireSpec, Spec
 from dualms.surface import Surface
 from dualms.triangles import TriangleMesh
 
@@ -97,6 +97,13 @@ class Check(Figures):
     passed: bool
 
 
+class BuildDirection(Figures):
+    """The direction to print in that leaves the least overhang."""
+
+    direction: tuple[float, float, float]
+    overhang_area_fraction: float
+
+
 class Provenance(Figures):
     """What made this, exactly."""
 
@@ -130,6 +137,7 @@ class Report(Figures):
     watertight: dict[str, bool]
     trapped_volume_m3: float
     overhang_area_fraction: float
+    best_build_direction: BuildDirection
     partition: PartitionFigures
     certificate: tuple[Check, ...]
     certified: bool
@@ -205,6 +213,7 @@ def make_report(
         "watertight": watertight,
         "trapped_volume_m3": _trapped(body.solid),
         "overhang_area_fraction": overhang_fraction(body.solid, np.array(spec.build_direction, dtype=float)),
+        "best_build_direction": _best_direction(body),
         "partition": PartitionFigures(
             method=partition.method,
             sites=len(partition.labels),
@@ -228,7 +237,10 @@ def make_report(
         ),
         "evaluation": None,
     }
-    certificate = _certificate(body, fluids, wall, closure, watertight, figures["trapped_volume_m3"])
+    certificate = (
+        *_certificate(body, fluids, wall, closure, watertight, figures["trapped_volume_m3"]),
+        *_required(spec.require, fluids, wall, figures),
+    )
     return Report(**figures, certificate=certificate, certified=all(c.passed for c in certificate))
 
 
@@ -281,6 +293,12 @@ def _inner(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return finite if len(finite) else np.zeros(1)
 
 
+def _best_direction(body: Body) -> BuildDirection:
+    direction, overhang = best_build_direction(body.solid)
+    x, y, z = (float(v) for v in direction.round(6))
+    return BuildDirection(direction=(x, y, z), overhang_area_fraction=overhang)
+
+
 def _trapped(solid: TriangleMesh) -> float:
     """Volume of the cavities inside the solid that no opening reaches: its inner shells."""
     n = len(solid.vertices)
@@ -300,28 +318,55 @@ def _certificate(
     watertight: dict[str, bool],
     trapped: float,
 ) -> tuple[Check, ...]:
-    def check(name: str, value: float, limit: str, passed: bool) -> Check:
-        return Check(name=name, value=float(value), limit=limit, passed=bool(passed))
-
     both = ((name, getattr(fluids, name)) for name in ("hot", "cold"))
     lines = [
-        check("common volume of hot and cold, m³", body.leak_m3, "= 0", body.leak_m3 == 0),
-        check("least wall thickness over asked", wall.thickness_min_m / wall.thickness_m, "≥ 0.95",
+        _check("common volume of hot and cold, m³", body.leak_m3, "= 0", body.leak_m3 == 0),
+        _check("least wall thickness over asked", wall.thickness_min_m / wall.thickness_m, "≥ 0.95",
               wall.thickness_min_m >= 0.95 * wall.thickness_m),
-        check("greatest wall thickness over asked", wall.thickness_max_m / wall.thickness_m, "≤ 1.05",
+        _check("greatest wall thickness over asked", wall.thickness_max_m / wall.thickness_m, "≤ 1.05",
               wall.thickness_max_m <= 1.05 * wall.thickness_m),
-        check("volume closure error", closure, "≤ 0.002", closure <= 0.002),
-        check("meshes not closed", sum(not v for v in watertight.values()), "= 0", all(watertight.values())),
-        check("trapped volume, m³", trapped, "= 0", trapped == 0),
-        check("loose solid left out, m³", body.dropped_m3, "< 0.1 % of the solid",
+        _check("volume closure error", closure, "≤ 0.002", closure <= 0.002),
+        _check("meshes not closed", sum(not v for v in watertight.values()), "= 0", all(watertight.values())),
+        _check("trapped volume, m³", trapped, "= 0", trapped == 0),
+        _check("loose solid left out, m³", body.dropped_m3, "< 0.1 % of the solid",
               body.dropped_m3 < 1e-3 * body.solid.volume),
     ]  # fmt: skip
     for name, fluid in both:
         joined = fluid.inlet_to_outlet_connected
         lines += [
-            check(f"{name}: components", fluid.components, "= 1", fluid.components == 1),
-            check(f"{name}: joined from inlets to outlets", joined, "= 1", joined),
-            check(f"{name}: narrowest passage, m", fluid.passage_m, "> 0", fluid.passage_m > 0),
-            check(f"{name}: dead-end share", fluid.dead_end_fraction, "≤ 0.25", fluid.dead_end_fraction <= 0.25),
+            _check(f"{name}: components", fluid.components, "= 1", fluid.components == 1),
+            _check(f"{name}: joined from inlets to outlets", joined, "= 1", joined),
+            _check(f"{name}: narrowest passage, m", fluid.passage_m, "> 0", fluid.passage_m > 0),
+            _check(f"{name}: dead-end share", fluid.dead_end_fraction, "≤ 0.25", fluid.dead_end_fraction <= 0.25),
         ]
     return tuple(lines)
+
+
+def _required(
+    require: RequireSpec, fluids: FluidsFigures, wall: WallFigures, figures: dict[str, Any]
+) -> tuple[Check, ...]:
+    """The specification's own requirements, as lines of the certificate."""
+    both = (fluids.hot, fluids.cold)
+    least = (
+        ("least channel, m", require.min_channel_m, min(f.min_channel_m for f in both)),
+        ("narrowest passage, m", require.min_passage_m, min(f.passage_m for f in both)),
+        ("least wall, m", require.min_wall_m, wall.thickness_min_m),
+        ("area density, 1/m", require.min_area_density_per_m, figures["area_density_per_m"]),
+    )
+    most = (
+        ("dead-end share", require.max_dead_end_fraction, max(f.dead_end_fraction for f in both)),
+        ("overhang share", require.max_overhang_fraction, figures["overhang_area_fraction"]),
+        ("solid share", require.max_solid_fraction, figures["solid_volume_fraction"]),
+    )
+    return (
+        *(
+            _check(f"required: {name}", v, f"≥ {limit:.4g}", v >= limit)
+            for name, limit, v in least
+            if limit is not None
+        ),
+        *(_check(f"required: {name}", v, f"≤ {limit:.4g}", v <= limit) for name, limit, v in most if limit is not None),
+    )
+
+
+def _check(name: str, value: float, limit: str, passed: bool) -> Check:
+    return Check(name=name, value=float(value), limit=limit, passed=bool(passed))

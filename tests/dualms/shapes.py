@@ -9,8 +9,9 @@ import trimesh
 
 from dualms.domain import Domain
 from dualms.grid import Grid
-from dualms.mesh import DomainMesh, read_domain_mesh
+from dualms.mesh import DomainMesh
 from dualms.ports import resolve_ports
+from dualms.reading import read_domain_mesh
 from dualms.spec import FluidsSpec, Spec, Unit
 
 

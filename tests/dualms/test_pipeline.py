@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from dualms.mesh import read_domain_mesh
 from dualms.pipeline import run_step
 from dualms.progress import Cancelled, Silent
+from dualms.reading import read_domain_mesh
 from dualms.spec import FluidsSpec, Spec, Unit
 from dualms.steps import ARTIFACTS, INTERNAL, STAGES, step_keys, steps_of
 from tests.dualms.shapes import box_mesh, end_ports, shared_ends, small_spec
 
 VOLUME = 80 * 60 * 40
+REQUIRED = {"min_passage_m": 0.001, "max_overhang_fraction": 1e-9}  # one that is met, one that cannot be
 
 
 class Recorder:
@@ -42,7 +43,7 @@ def _domain_file(folder: Path) -> Path:
 
 def _run(folder: Path, fluids: FluidsSpec, progress: Recorder | None = None, **changes: object) -> Spec:
     folder.mkdir(exist_ok=True)
-    spec = small_spec(fluids, **changes)
+    spec = small_spec(fluids, **{"require": REQUIRED, **changes})
     for step in steps_of(spec):
         run_step(step, folder, _domain_file(folder), spec, progress or Silent())
     return spec
@@ -109,6 +110,14 @@ def test_progress_names_every_stage_and_does_not_go_back(designed: tuple[Path, R
         assert max(fractions) == 1
         # A stage may consist of two runs of the stopwatch: it starts again at 0 at most once.
         assert sum(b < a for a, b in pairwise(fractions)) <= 1
+
+
+def test_requirements_are_lines_of_the_certificate(designed: tuple[Path, Recorder]) -> None:
+    report = json.loads((designed[0] / "report.json").read_text())
+    required = {c["name"]: c["passed"] for c in report["certificate"] if c["name"].startswith("required")}
+    assert required == {"required: narrowest passage, m": True, "required: overhang share": False}
+    assert not report["certified"]
+    assert report["best_build_direction"]["overhang_area_fraction"] <= report["overhang_area_fraction"]
 
 
 def test_the_page_is_self_contained(designed: tuple[Path, Recorder]) -> None:

@@ -12,7 +12,7 @@ from dualms.body.walls import wall_thickness
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked, WallTooThick
-from dualms.measure.printing import overhang_fraction, wall_thicknesses
+from dualms.measure.printing import best_build_direction, overhang_fraction, wall_thicknesses
 from dualms.spec import Unit, WallFraction
 from dualms.surface import Surface, extract_surface
 from dualms.triangles import TriangleMesh
@@ -129,3 +129,4 @@ def test_overhang_of_a_tilted_roof_is_its_underside() -> None:
     assert overhang_fraction(cube, np.array([0.0, 0, 1])) == 0
     up = np.array([0.0, np.sin(np.radians(30)), np.cos(np.radians(30))])
     assert overhang_fraction(cube, up) == pytest.approx(1 / 6)
+    assert best_build_direction(cube)[1] == 0

@@ -14,8 +14,8 @@ from dualms.cfd.baselines import tpms_exchanger
 from dualms.cfd.channels import Openings, VoxelExchanger
 from dualms.cfd.openfoam import OpenFoam, find_openfoam
 from dualms.domain import Domain
-from dualms.mesh import read_domain_mesh
 from dualms.ports import resolve_ports
+from dualms.reading import read_domain_mesh
 from dualms.spec import FluidSpec, FluidsSpec, Unit
 
 SIDE_M = 0.01

@@ -9,6 +9,7 @@ from dualms.domain import Domain
 from dualms.errors import FieldDiverged
 from dualms.field import topology, training
 from dualms.field.field import Field
+from dualms.field.lattice import Lattice
 from dualms.field.losses import skeleton_loss, smoothness_exact, smoothness_secants
 from dualms.field.solve import solve_field
 from dualms.progress import Silent
@@ -136,12 +137,12 @@ def test_divergence_is_said(unit_box: Domain, parallel_lines: SimpleNamespace) -
 
 
 def test_stray_pockets_are_found_and_taught(unit_box: Domain, parallel_lines: SimpleNamespace) -> None:
-    lattice = training.Lattice.of(unit_box, parallel_lines)
+    lattice = Lattice.of(unit_box, parallel_lines, 32)
     x, y, z = (lattice.grid.points(lattice.inside) - 0.5).T
     values = np.where(x < 0, 1.0, -1.0).astype(np.float32)
-    assert not lattice.stray(values)[0].any()
+    assert not training.stray_voxels(lattice, values)[0].any()
     values[np.hypot(x - 0.3, y - 0.4) ** 2 + z**2 < 0.05**2] = 1
-    wrong, wanted = lattice.stray(values)
+    wrong, wanted = training.stray_voxels(lattice, values)
     assert 5 < wrong.sum() < 40
     assert not wanted[wrong].any()
     assert topology.component_counts(wanted, lattice.inside) == (1, 1)

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from dualms.errors import DualMSError, InvalidMesh, MissingUnits, TooLarge, UnreadableFile, UnsupportedFormat
-from dualms.mesh import inspect_file, read_domain_mesh
+from dualms.reading import inspect_file, read_domain_mesh
 from dualms.spec import Unit
 from tests.dualms.shapes import written
 
@@ -50,6 +50,18 @@ def test_a_box_has_six_facets_and_a_cylinder_two(tmp_path: Path) -> None:
     assert [round(f.area, 6) for f in box.facets] == [12, 12, 8, 8, 6, 6]
     cylinder = inspect_file(written(trimesh.creation.cylinder(1, 3, sections=48), tmp_path / "c.stl"), Unit.MM)
     assert sorted(f.normal[2] for f in cylinder.facets) == [-1, 1]
+
+
+def test_a_step_part_is_read_in_its_own_unit(tmp_path: Path) -> None:
+    part = Path(__file__).parent / "data" / "annulus_block.step"  # 80 x 50 x 40 mm with a bore of 16 mm
+    expected = 80 * 50 * 40 - np.pi * 8**2 * 40
+    for units in (None, Unit.MM, Unit.IN):
+        found = inspect_file(part, units)
+        assert found.volume * found.units.metres**3 * 1e9 == pytest.approx(expected, rel=1e-3)
+        assert max(found.bounds[1]) * found.units.metres == pytest.approx(0.08, rel=1e-6)
+    assert len(inspect_file(part, None).facets) == 6
+    with pytest.raises(UnreadableFile):
+        read_domain_mesh(_bytes(tmp_path / "text.step", b"solid nothing"), None)
 
 
 def _bytes(path: Path, content: bytes) -> Path:
@@ -124,7 +136,8 @@ def _flat(folder: Path) -> Path:
         ),
         (lambda f: _bytes(f / "really.obj", trimesh.creation.box((1, 1, 1)).export(file_type="glb")), UnreadableFile),
         (lambda f: _bytes(f / "really.3mf", b"not an archive at all"), UnreadableFile),
-        (lambda f: _bytes(f / "part.step", b"ISO-10303-21;"), UnsupportedFormat),
+        (lambda f: _bytes(f / "part.iges", b"1"), UnsupportedFormat),
+        (lambda f: _bytes(f / "part.step", b"ISO-10303-21;"), UnreadableFile),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
