@@ -23,8 +23,8 @@ from dualms.surface import level_set
 from dualms.triangles import TriangleMesh
 
 LINES = 160
-SAMPLES_PER_PIXEL = 24
-SIZE = (900, 620)
+SAMPLES_PER_PIXEL = 9
+SIZE = (760, 520)
 
 
 def flow_picture(solved: SolvedExchanger, path: Path) -> None:
