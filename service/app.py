@@ -20,6 +20,7 @@ from service.domains.endpoints import router as domains
 from service.limits import BodyLimit
 from service.metrics import Meter, QueueCollector
 from service.settings import Settings
+from service.studies.endpoints import router as studies
 from worker.settings import Settings as WorkerSettings
 
 FORM_OVERHEAD = 1024**2  # what a form adds to the file in it
@@ -59,7 +60,7 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
     )
     app.state.registry = registry
     problems.install(app)
-    for router in (domains, designs, artifacts, system.router):
+    for router in (domains, designs, artifacts, studies, system.router):
         app.include_router(router)
     describe(app)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)

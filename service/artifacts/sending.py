@@ -13,7 +13,7 @@ from service.backend import Backend
 from service.conditional import byte_range, matches
 
 # The bytes are made from what clients send: a browser must neither guess their type nor run them as ours.
-_SAFE = {"X-Content-Type-Options": "nosniff", "Content-Security-Policy": "sandbox allow-scripts"}
+SAFE = {"X-Content-Type-Options": "nosniff", "Content-Security-Policy": "sandbox allow-scripts"}
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def send_blob(backend: Backend, blob: Blob, ask: Asked, *, download: bool = Fals
     etag = f'"{blob.sha256}"'
     kind = "attachment" if download else "inline"
     headers = {
-        **_SAFE,
+        **SAFE,
         "ETag": etag,
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, max-age=0, must-revalidate",

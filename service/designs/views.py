@@ -89,12 +89,13 @@ def _brief(row: DesignRecord, domain_name: str) -> dict[str, object]:
         "created_at": iso(row.created_at),
         "started_at": iso(row.started_at),
         "finished_at": iso(row.finished_at),
-        "error": _error(row),
+        "error": error_view(row),
         "href": f"/v1/designs/{row.id}",
     }
 
 
-def _error(row: DesignRecord) -> ErrorOut | None:
+def error_view(row: DesignRecord) -> ErrorOut | None:
+    """Why a design failed, if it did."""
     if row.error is None:
         return None
     return ErrorOut(

@@ -1,0 +1,106 @@
+"""From a request to a queued study."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from dualms.errors import DualMSError
+from dualms.spec import Spec, Unit
+from dualms.study.figures import default_metrics
+from dualms.study.grid import InvalidPoint, Point, grid_points
+from service.backend import Backend
+from service.designs.checks import check_against_domain
+from service.designs.resolve import resolved
+from service.designs.submission import MAX_KEY
+from service.problems import FieldProblem, Problem, from_dualms
+from service.studies.schemas import StudyIn
+from worker.records import DomainRecord, IdempotencyConflict, NewDesign
+from worker.studies import NewStudy, Studies, StudyRecord
+
+
+def submit_study(backend: Backend, wanted: StudyIn, key: str | None, owner: str | None = None) -> StudyRecord:
+    """Check every point, record the study with its designs, and announce them; the same key gives the same study.
+
+    Raises
+    ------
+    Problem
+        ``study-too-large``, ``invalid-request`` with the paths that do not fit, or what a design is refused for.
+    """
+    if key is not None and not (0 < len(key) <= MAX_KEY and key.isprintable()):
+        advice = "Use a random UUID."
+        raise Problem("malformed-request", f"An Idempotency-Key has 1 to {MAX_KEY} printable characters.", advice)
+    domain = backend.domain(wanted.domain)
+    points = study_points(wanted.spec, wanted.grid)
+    queues = backend.records.live_queues()
+    points = tuple(replace(p, spec=_resolved(p, domain, queues)) for p in points)
+    new = NewStudy(
+        domain_id=domain.id,
+        spec=dict(wanted.spec),
+        grid={path: list(values) for path, values in wanted.grid.items()},
+        metrics=wanted.metrics or default_metrics(p.spec for p in points),
+        points=tuple((p.values, _design(p, domain, wanted, owner)) for p in points),
+        name=wanted.name,
+        labels=wanted.labels,
+        owner=owner,
+    )
+    digest = hashlib.sha256(("study" + wanted.model_dump_json()).encode()).hexdigest()
+    try:
+        study, made = Studies(backend.records).create(new, (key, digest) if key is not None else None)
+    except IdempotencyConflict:
+        raise Problem(
+            "idempotency-key-reused",
+            "This Idempotency-Key was used before with another body.",
+            "Send the first body again, or use a new key.",
+        ) from None
+    if made:
+        for point in study.points:
+            if point.design is not None:
+                backend.wakeups.send(point.design)
+    return study
+
+
+def study_points(spec: Mapping[str, Any], grid: Mapping[str, list[Any]]) -> tuple[Point, ...]:
+    """All points of a grid.
+
+    Raises
+    ------
+    Problem
+        ``invalid-request`` with the paths that do not fit; ``study-too-large``.
+    """
+    try:
+        return grid_points(spec, grid)
+    except InvalidPoint as error:
+        fields = [FieldProblem(field=field, message=message) for field, message in error.errors]
+        detail = f"{fields[0].field}: {fields[0].message}, {where(error.values)}"
+        advice = "Unknown paths are refused: check the spelling. GET /openapi.json has the specification's schema."
+        raise Problem("invalid-request", detail, advice, errors=fields) from None
+    except DualMSError as error:
+        raise from_dualms(error) from None
+
+
+def where(values: Mapping[str, Any]) -> str:
+    """A point of the grid, for messages."""
+    shown = ", ".join(f"{path} = {json.dumps(value)[:80]}" for path, value in values.items())
+    return f"at {shown}"
+
+
+def _resolved(point: Point, domain: DomainRecord, queues: frozenset[str]) -> Spec:
+    units, found = Unit(domain.units), domain.inspection
+    low, high = found["bounds"]
+    try:
+        check_against_domain(point.spec, units, (tuple(low), tuple(high)), len(found["facets"]))
+        return resolved(point.spec, units, queues)
+    except DualMSError as error:
+        problem = from_dualms(error)
+        detail = f"{error.message} ({where(point.values)})"
+        raise Problem(problem.code, detail, error.advice, measured=error.measured) from None
+
+
+def _design(point: Point, domain: DomainRecord, wanted: StudyIn, owner: str | None) -> NewDesign:
+    name = ", ".join(f"{path.rpartition('.')[2]}={json.dumps(v)}" for path, v in point.values.items())
+    name = f"{wanted.name}: {name}" if wanted.name else name
+    return NewDesign(domain_id=domain.id, spec=point.spec, name=name[:200], labels=wanted.labels, owner=owner)
