@@ -3,9 +3,9 @@
     python benchmarks/fault_campaign.py --jobs 300 --kills 1000 --seed 1
 
 Starts ``dualms serve`` on a folder of its own, sends designs over HTTP (each with an idempotency key, repeated until it
-is answered), and kills (SIGKILL) API, workers, step processes, broker, now and then everything. Then it reads the records:
-every design must have ended, no step may have been recorded twice, and no ended design may have changed. It prints one
-JSON object: the counts, and the distributions of the times to re-dispatch and to cancel.
+is answered), and kills (SIGKILL) API, workers, step processes, broker, and now and then everything. Then it reads the
+records: every design must have ended, no step may have been recorded twice, and no ended design may have changed. It
+prints one JSON object: the counts, and the distributions of the times to re-dispatch and to cancel.
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 
 import psutil
-import pytest
 
 from tests.worker.conftest import Cluster, wait_for
 
@@ -103,19 +102,5 @@ def test_limits_end_a_step_and_say_so(tmp_path: Path) -> None:
         assert final.error is not None
         assert final.error["code"] == "memory-limit"
         assert final.error["measured"]["used_bytes"] > 60 << 20
-    finally:
-        cluster.close()
-
-
-@pytest.mark.slow
-def test_a_wiped_broker_loses_nothing(tmp_path: Path) -> None:
-    cluster = Cluster(tmp_path, DUALMS_REAP_S="1")
-    try:
-        made = [cluster.submit(seed=i) for i in range(2)]
-        cluster.broker.wipe()
-        cluster.broker.start()
-        cluster.start_worker()
-        for design in made:
-            wait_for(lambda d=design: cluster.design(d.id).status == "succeeded", 180)
     finally:
         cluster.close()
