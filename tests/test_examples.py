@@ -37,7 +37,7 @@ def test_the_script_makes_the_committed_domains() -> None:
         made = script["pipe"](script["rounded"](np.array(corners, dtype=float), fillet), radius)
         committed = read_domain_mesh(EXAMPLES / f"{name}.stl", Unit.MM)
         assert committed.volume_m3 * 1e9 == pytest.approx(made.volume, rel=1e-5)
-        # A round prism bent along a line keeps its section's area times the line's length (Pappus), to the tessellation.
+        # Pappus: a round prism bent along a line keeps its section's area times the line's length.
         line = script["rounded"](np.array(corners, dtype=float), fillet)
         length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
         assert made.volume == pytest.approx(np.pi * radius**2 * length, rel=0.01)
