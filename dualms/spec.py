@@ -143,16 +143,40 @@ class NoFlow(Model):
 FlowSpec = Annotated[PotentialFlow | DirectionFlow | PathFlow | NoFlow, Field(discriminator="kind")]
 
 
+GRAPH_PRESETS: dict[str, dict[str, object]] = {
+    "aligned": {"transverse_weight": 20.0, "weighting": "smooth", "stretch": 3.0},
+    "paper": {"transverse_weight": 5.0, "weighting": "two-valued", "stretch": 1.0},
+}
+"""What a preset sets where the specification is silent; chosen in docs/decisions/0007-alignment.md."""
+
+
 class GraphSpec(Model):
     """Sites and edge weights of the graph (paper, section 4.1)."""
 
+    preset: Literal["aligned", "paper"] = Field(
+        "aligned",
+        description="Defaults of the other fields: 'aligned' (ours: least solved pressure drop at equal heat transfer) "
+        "or 'paper' (a = 5, two-valued, round cells).",
+    )
+
     sites: int = Field(300, ge=8, le=20_000, description="Number of Voronoi sites. Paper, appendix A: 300 to 800.")
     transverse_weight: float = Field(
-        5.0, ge=1, le=1000, description="Weight a of edges more than 45° off the flow (Eq. 1). Paper: 5."
+        20.0, ge=1, le=1000, description="Weight a of edges across the flow (Eq. 1). Paper: 5; 'aligned': 20."
+    )
+    weighting: Literal["two-valued", "smooth"] = Field(
+        "smooth", description="'two-valued': a beyond 45° off the flow, else 1 (Eq. 1); 'smooth': 1 + (a-1) sin². Ours."
     )
     stretch: float = Field(
-        1.0, ge=1, le=5, description="Length of a cell along the flow over its width. Ours; the paper's cells: 1."
+        3.0, ge=1, le=5, description="Length of a cell along the flow over its width. Paper: 1; 'aligned' (ours): 3."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_preset(cls, given: object) -> object:
+        if not isinstance(given, dict):
+            return given
+        preset = given.get("preset", "aligned")
+        return {**GRAPH_PRESETS.get(preset, {}), **given} if isinstance(preset, str) else given
 
 
 class PartitionSpec(Model):
@@ -162,6 +186,12 @@ class PartitionSpec(Model):
         "anneal", description="'greedy' is the paper's Algorithm 1; 'anneal' (ours) searches further, same constraints."
     )
     seconds: float = Field(1.0, gt=0, le=600, description="Search budget of 'anneal', as work worth so many seconds.")
+    slack: float = Field(
+        0.01,
+        ge=0,
+        le=0.2,
+        description="Share of the cut weight that 'anneal' may give up for channels that resist the flow less. Ours.",
+    )
 
 
 # --- solve ------------------------------------------------------------------------------------------------------

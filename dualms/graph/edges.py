@@ -43,8 +43,8 @@ def connected_cells(inside: Mask, cells: Cells, count: int) -> Cells:
     return volume
 
 
-def cell_adjacency(volume: Cells, least_faces: int = 1) -> Edges:
-    """(E, 2) sorted pairs of cells that share at least ``least_faces`` voxel faces in ``volume`` (nx, ny, nz)."""
+def cell_adjacency(volume: Cells) -> tuple[Edges, NDArray[np.int64]]:
+    """(E, 2) sorted pairs of cells that share voxel faces in ``volume`` (nx, ny, nz), and (E,) how many."""
     count = int(volume.max()) + 1
     keys = []
     for axis in range(3):
@@ -54,8 +54,7 @@ def cell_adjacency(volume: Cells, least_faces: int = 1) -> Edges:
         low, high = np.minimum(a[differ], b[differ]), np.maximum(a[differ], b[differ])
         keys.append(low.astype(np.int64) * count + high)
     pairs, faces = np.unique(np.concatenate(keys), return_counts=True)
-    pairs = pairs[faces >= least_faces]
-    return np.stack([pairs // count, pairs % count], axis=1)
+    return np.stack([pairs // count, pairs % count], axis=1), faces
 
 
 def inside_edges(

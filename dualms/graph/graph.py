@@ -20,6 +20,7 @@ from dualms.spec import GraphSpec
 
 VOXELS_PER_SITE = 400  # about 7 voxels across a cell: faces that matter to the cut are several voxels wide
 RESOLUTIONS = (40, 220)
+STAIRS = 2 / 3  # area of a plane over that of its voxel faces, the mean over all directions
 PORT_SHARE = 0.2  # a site is pinned to a dedicated port where its cell covers this share of the port
 
 Indices = NDArray[np.int64]
@@ -37,20 +38,27 @@ class Graph:
         (E, 2) int64, each once, i < j, sorted.
     weights
         (E,) float64, at least 0 (Eq. 1: ``transverse_weight`` across the flow, else 1).
+    areas
+        (E,) float64, area of the face that the two cells share.
     pins
         (N,) int8: 1 the site must be hot, -1 cold, 0 free.
     openings
         For each shared opening the sites whose cells touch it: both fluids must have some of them.
     ports
         For each port of the domain, in its order, the sites whose cells touch it.
+    port_fluids, port_inlets
+        For each port its fluid (1 hot, -1 cold), and whether it is an inlet.
     """
 
     sites: Array
     edges: Edges
     weights: Array
+    areas: Array
     pins: NDArray[np.int8]
     openings: tuple[Indices, ...]
     ports: tuple[Indices, ...]
+    port_fluids: NDArray[np.int8]
+    port_inlets: Mask
 
     def __post_init__(self) -> None:
         count = len(self.sites)
@@ -65,6 +73,10 @@ class Graph:
             raise ValueError("edges must be sorted and each named once")
         if not (np.isfinite(self.weights).all() and (self.weights >= 0).all()):
             raise ValueError("weights must be finite and not negative")
+        if self.areas.shape != self.weights.shape or not (self.areas > 0).all():
+            raise ValueError("each edge needs a positive area")
+        if not len(self.ports) == len(self.port_fluids) == len(self.port_inlets):
+            raise ValueError("each port needs its sites, its fluid and whether it is an inlet")
         if self.pins.shape != (count,) or not np.isin(self.pins, (-1, 0, 1)).all():
             raise ValueError("pins must be -1, 0 or 1 for each site")
 
@@ -112,20 +124,28 @@ def site_graph(
     tessellation = lloyd(points, spec.sites, seed, metric=metric, spread=spread, progress=progress)
     cells = connected_cells(inside, tessellation.cells, spec.sites)
     sites = sites_in_cells(grid, cells, tessellation.sites)
-    edges = cell_adjacency(cells)
-    edges = edges[inside_edges(domain, grid, inside, sites, edges)]
+    edges, faces = cell_adjacency(cells)
+    kept = inside_edges(domain, grid, inside, sites, edges)
+    edges, areas = edges[kept], np.asarray(STAIRS * grid.spacing**2 * faces[kept], dtype=float)
     _refuse_parts(edges, spec.sites)
     progress.report("graph", 0.9, f"{len(edges)} edges")
     weights = edge_weights(sites, edges, flow, spec)
     pins, openings, ports = _port_sites(domain, grid, inside, cells, spec.sites)
-    return Graph(sites, edges, weights, pins, openings, ports)
+    fluids = np.array([port.fluid for port in domain.ports], dtype=np.int8)
+    inlets = np.array([port.inlet for port in domain.ports], dtype=bool)
+    return Graph(sites, edges, weights, areas, pins, openings, ports, fluids, inlets)
 
 
 def edge_weights(sites: Array, edges: Edges, flow: FlowField | None, spec: GraphSpec) -> Array:
-    """(E,) weights by Eq. 1: ``transverse_weight`` where an edge is over 45° off the mean line, else 1."""
+    """(E,) weights: by Eq. 1 the transverse weight a where an edge is over 45° off the mean line, else 1.
+
+    The smooth form (ours) is 1 + (a - 1) sin²θ: a field of 45° edges is not torn apart by which side of 45° they fall.
+    """
     if flow is None:
         return np.ones(len(edges))
     cosine2 = alignment(sites, edges, flow)
+    if spec.weighting == "smooth":
+        return 1.0 + (spec.transverse_weight - 1.0) * (1.0 - np.minimum(cosine2, 1.0))
     return np.where(cosine2 < 0.5, spec.transverse_weight, 1.0)
 
 

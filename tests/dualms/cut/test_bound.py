@@ -14,7 +14,7 @@ from dualms.cut.constraints import cut_weight, violations
 from dualms.cut.partition import max_cut
 from dualms.graph.graph import Graph
 from dualms.spec import PartitionSpec
-from tests.dualms.cut.graphs import delaunay_graph
+from tests.dualms.cut.graphs import bare_graph, delaunay_graph
 
 
 def _optimum_without_connectivity(graph: Graph) -> float:
@@ -84,5 +84,5 @@ def test_triangles_of_the_complete_graph() -> None:
 
 def test_pinned_ends_count_in_the_bound() -> None:
     graph = delaunay_graph(60, 4, ports="dedicated")
-    free = Graph(graph.sites, graph.edges, graph.weights, np.zeros(60, dtype=np.int8), (), ())
+    free = bare_graph(graph.sites, graph.edges, graph.weights, np.zeros(60, dtype=np.int8))
     assert upper_bound(graph) <= upper_bound(free) + 1e-6

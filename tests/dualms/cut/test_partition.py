@@ -14,9 +14,9 @@ from dualms.cut.greedy import greedy
 from dualms.cut.partition import max_cut
 from dualms.cut.start import first_partition
 from dualms.errors import InfeasiblePartition
-from dualms.graph.graph import Graph, site_graph
+from dualms.graph.graph import site_graph
 from dualms.spec import GraphSpec, PartitionSpec
-from tests.dualms.cut.graphs import delaunay_graph
+from tests.dualms.cut.graphs import bare_graph, delaunay_graph
 from tests.dualms.shapes import box_mesh, domain_of, shared_ends
 
 QUICK = PartitionSpec(seconds=0.03)
@@ -86,7 +86,7 @@ def test_cut_weight_is_invariant_under_relabelling_of_sites() -> None:
     renamed = np.argsort(order)
     edges = np.sort(renamed[graph.edges], axis=1)
     place = np.lexsort((edges[:, 1], edges[:, 0]))
-    other = Graph(graph.sites[order], edges[place], graph.weights[place], graph.pins[order], (), ())
+    other = bare_graph(graph.sites[order], edges[place], graph.weights[place], graph.pins[order])
     assert cut_weight(other, labels[order]) == cut_weight(graph, labels)
     assert cut_weight(graph, -labels) == cut_weight(graph, labels)
     assert max_cut(other, QUICK, 0).upper_bound == pytest.approx(max_cut(graph, QUICK, 0).upper_bound, rel=1e-6)
@@ -105,7 +105,7 @@ def test_a_site_with_one_neighbour_is_refused_by_name() -> None:
     graph = delaunay_graph(30, 0)
     sites = np.concatenate([graph.sites, [[3.0, 0.5, 0.5]]])
     edges = np.concatenate([graph.edges, [[29, 30]]])
-    bad = Graph(sites, edges, np.ones(len(edges)), np.zeros(31, dtype=np.int8), (), ())
+    bad = bare_graph(sites, edges, np.ones(len(edges)), np.zeros(31, dtype=np.int8))
     with pytest.raises(InfeasiblePartition, match=r"Site 30 .* has 1 neighbours") as caught:
         max_cut(bad, QUICK, 0)
     assert "more sites" in caught.value.advice
@@ -121,7 +121,7 @@ def test_ports_that_wall_each_other_off_are_refused() -> None:
     pins = np.zeros(2 * rungs, dtype=np.int8)
     pins[[0, 1, 14, 15]] = 1
     pins[[6, 7]] = -1
-    graph = Graph(sites, edges, np.ones(len(edges)), pins, (), tuple(np.array([k]) for k in (0, 14, 6, 7)))
+    graph = bare_graph(sites, edges, np.ones(len(edges)), pins)
     with pytest.raises(InfeasiblePartition) as caught:
         max_cut(graph, QUICK, 0)
     assert caught.value.advice

@@ -18,7 +18,8 @@ def test_adjacency_of_a_lattice_is_its_six_neighbours() -> None:
     sites = Grid(np.full(3, 1 / 8), 1 / 4, (4, 4, 4)).points()
     inside = np.ones(grid.shape, dtype=bool)
     cells = connected_cells(inside, cKDTree(sites).query(grid.points())[1].astype(np.int32), 64)
-    edges = cell_adjacency(cells)
+    edges, faces = cell_adjacency(cells)
+    assert (faces == 9).all()
     assert len(edges) == 3 * 4 * 4 * 3
     lengths = np.linalg.norm(sites[edges[:, 0]] - sites[edges[:, 1]], axis=1)
     np.testing.assert_allclose(lengths, 0.25)
@@ -30,7 +31,7 @@ def test_edges_in_a_cube_are_delaunay_edges() -> None:
     sites = generator.random((60, 3))
     inside = np.ones(grid.shape, dtype=bool)
     cells = connected_cells(inside, cKDTree(sites).query(grid.points())[1].astype(np.int32), 60)
-    edges = {tuple(e) for e in cell_adjacency(cells)}
+    edges = {tuple(e) for e in cell_adjacency(cells)[0]}
     delaunay = set()
     for tetrahedron in Delaunay(sites).simplices:
         for i in range(4):

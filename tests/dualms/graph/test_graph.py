@@ -7,8 +7,9 @@ import pytest
 
 from dualms.errors import InfeasiblePartition
 from dualms.flow import flow_field
-from dualms.graph.graph import Graph, site_graph
+from dualms.graph.graph import site_graph
 from dualms.spec import GraphSpec, PotentialFlow
+from tests.dualms.cut.graphs import bare_graph
 from tests.dualms.shapes import box_mesh, domain_of, end_ports, shared_ends
 
 
@@ -33,7 +34,7 @@ def test_shared_openings_list_the_sites_at_both_ends_and_pin_nothing() -> None:
 def test_weights_follow_the_angle_to_the_flow() -> None:
     domain = domain_of(box_mesh(), shared_ends())
     flow = flow_field(domain, PotentialFlow(), 1e-3)
-    graph = site_graph(domain, flow, GraphSpec(sites=100, transverse_weight=7.0), 0)
+    graph = site_graph(domain, flow, GraphSpec(preset="paper", sites=100, transverse_weight=7.0), 0)
     direction = graph.sites[graph.edges[:, 1]] - graph.sites[graph.edges[:, 0]]
     cosine = np.abs(direction[:, 0]) / np.linalg.norm(direction, axis=1)
     clear = np.abs(cosine - np.sqrt(0.5)) > 1e-3
@@ -73,4 +74,4 @@ def test_ports_of_different_fluids_in_one_cell_are_refused_by_name() -> None:
 def test_graph_refuses_edges_named_twice() -> None:
     edges = np.array([[0, 1], [0, 1]])
     with pytest.raises(ValueError, match="named once"):
-        Graph(np.zeros((2, 3)), edges, np.ones(2), np.zeros(2, dtype=np.int8), (), ())
+        bare_graph(np.zeros((2, 3)), edges, np.ones(2), np.zeros(2, dtype=np.int8))
