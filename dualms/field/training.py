@@ -18,9 +18,9 @@ from dualms.domain import Domain
 from dualms.errors import FieldDiverged
 from dualms.field import topology
 from dualms.field.field import Field, History
+from dualms.field.lattice import Lattice
 from dualms.field.losses import skeleton_loss, smoothness_exact, smoothness_secants
 from dualms.field.network import Network
-from dualms.grid import Grid
 from dualms.progress import Progress
 from dualms.spec import NeuralField
 
@@ -81,51 +81,27 @@ class Samples:
         return self.corners[chosen] + self.spacing * torch.rand((count, 3), generator=generator, device=device)
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """The voxelised domain, on which stray pockets are looked for.
+def stray_voxels(lattice: Lattice, values: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which voxels have the wrong sign: stray pockets and skeleton voxels of the other fluid.
 
     Parameters
     ----------
-    grid
-        Voxels round the domain.
-    inside
-        (nx, ny, nz) the domain.
-    skeleton
-        Voxels of the hot and of the cold skeleton.
+    lattice
+        The voxelised domain.
+    values
+        (K,) the field at the voxels inside, in C order.
+
+    Returns
+    -------
+    tuple
+        (nx, ny, nz) the wrong voxels, and the colouring that is wanted.
     """
-
-    grid: Grid
-    inside: NDArray[np.bool_]
-    skeleton: tuple[NDArray[np.bool_], NDArray[np.bool_]]
-
-    @classmethod
-    def of(cls, domain: Domain, skeletons: Skeletons) -> Lattice:
-        """Voxels of edge 1/128."""
-        grid = domain.grid(_SAMPLING_RESOLUTION)
-        inside = domain.inside(grid)
-        tubes = topology.voxels_of(skeletons.hot, grid, inside), topology.voxels_of(skeletons.cold, grid, inside)
-        return cls(grid, inside, tubes)
-
-    def stray(self, values: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which voxels have the wrong sign: stray pockets and skeleton voxels of the other fluid.
-
-        Parameters
-        ----------
-        values
-            (K,) the field at the voxels inside, in C order.
-
-        Returns
-        -------
-        tuple
-            (nx, ny, nz) the wrong voxels, and the colouring that is wanted.
-        """
-        hot = np.zeros(self.grid.shape, dtype=bool)
-        hot[self.inside] = values > 0
-        ours, theirs = self.skeleton
-        wanted = (hot | (ours & ~theirs)) & ~(theirs & ~ours)
-        wanted, _ = topology.without_pockets(wanted, self.inside, self.skeleton)
-        return (wanted != hot) & self.inside, wanted
+    hot = np.zeros(lattice.grid.shape, dtype=bool)
+    hot[lattice.inside] = values > 0
+    ours, theirs = lattice.skeleton
+    wanted = (hot | (ours & ~theirs)) & ~(theirs & ~ours)
+    wanted, _ = topology.without_pockets(wanted, lattice.inside, lattice.skeleton)
+    return (wanted != hot) & lattice.inside, wanted
 
 
 class Model:
@@ -222,7 +198,7 @@ class Training:
         with torch.no_grad():
             centres = self.samples.corners + self.samples.spacing / 2
             values = torch.cat([self.model(part) for part in torch.split(centres, 16_384)]).cpu().numpy()
-        wrong, wanted = lattice.stray(values)
+        wrong, wanted = stray_voxels(lattice, values)
         found = np.column_stack([lattice.grid.points(wrong), np.where(wanted[wrong], 1.0, -1.0)])
         fresh = torch.tensor(found, dtype=torch.float32, device=device)
         self.repairs = torch.cat([self.repairs, fresh])
@@ -318,7 +294,7 @@ def train(
     where = torch.device(device)
     if where.type == "cuda":
         torch.set_float32_matmul_precision("high")
-    lattice = Lattice.of(domain, skeletons)
+    lattice = Lattice.of(domain, skeletons, _SAMPLING_RESOLUTION)
     training = Training(spec, Samples.of(lattice, skeletons, where), seed, where)
     if checkpoint is not None:
         training.resume(checkpoint)

@@ -7,7 +7,9 @@ from skimage.measure import marching_cubes, mesh_surface_area
 from dualms.domain import Domain
 from dualms.errors import EmptySurface
 from dualms.field import topology
+from dualms.field.minimal import levels
 from dualms.field.phase_field import solve_phase_field
+from dualms.measure.curvature import away_from_boundary, mean_curvature
 from dualms.progress import Silent
 
 
@@ -37,7 +39,7 @@ def test_two_parallel_lines_are_separated_by_the_middle_plane(
     near = np.abs(x - 0.5) < 0.03
     if minimality > 0:
         # The start is half the difference of the distances, which is flatter off the skeletons; the flow steepens it.
-        np.testing.assert_allclose(values[near], (0.5 - x)[near], atol=3e-3)
+        np.testing.assert_allclose(values[near], (0.5 - x)[near], atol=5e-3)
     assert np.array_equal(values[near] > 0, (x < 0.5)[near])
     assert progress.fractions == sorted(progress.fractions)
     assert progress.fractions[-1] == 1
@@ -79,3 +81,25 @@ def test_a_fluid_without_room_is_refused(unit_box: Domain) -> None:
     point = np.full((1, 3), 5.0)
     with pytest.raises(EmptySurface, match="cold"):
         solve_phase_field(unit_box, SimpleNamespace(hot=np.full((1, 3), 0.5), cold=point), 24, 0.5, Silent())
+
+
+def test_minimal_end_brings_a_bent_surface_to_no_curvature(unit_box: Domain, schwarz_p: SimpleNamespace) -> None:
+    figures = []
+    for minimality in (0.0, 0.5, 0.75):
+        field = solve_phase_field(unit_box, schwarz_p, 32, minimality, Silent())
+        grid = unit_box.grid(64, padding=0)
+        vertices, faces, _, _ = marching_cubes(field.on(grid), 0.0)
+        faces = faces.astype(np.int64)
+        h = mean_curvature(vertices * grid.spacing, faces)
+        figures.append(np.sqrt(np.nanmean(h[away_from_boundary(vertices * grid.spacing, faces, 0.08)] ** 2)))
+    equidistant, diffused, minimal = figures
+    assert diffused < 0.5 * equidistant
+    assert minimal < 0.6 * diffused
+    assert set(field.history.column("phase")) == {0, 1}
+
+
+def test_levels_end_at_the_resolution_and_resolve_the_gap() -> None:
+    assert levels(128, 0.081) == [96, 128]
+    assert levels(256, 0.081) == [108, 144, 192, 256]
+    assert levels(64, 0.081) == [64]
+    assert levels(48, 0.7) == [36, 48]
