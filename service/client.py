@@ -106,11 +106,7 @@ class Client:
 
     def design(self, design_id: str, wait_s: int = 0, etag: str | None = None) -> tuple[Json | None, str]:
         """One look at a design: its record (None where it has not changed since ``etag``) and its ETag."""
-        headers = {"Prefer": f"wait={wait_s}"} if wait_s else {}
-        if etag:
-            headers["If-None-Match"] = etag
-        answer = self._send("GET", f"/v1/designs/{design_id}", headers=headers)
-        return (None if answer.status_code == 304 else answer.json()), answer.headers.get("ETag", etag or "")
+        return self._look(f"/v1/designs/{design_id}", wait_s, etag)
 
     def wait(
         self, design_id: str, on_change: Callable[[Json], None] | None = None, timeout_s: float = float("inf")
@@ -122,19 +118,47 @@ class Client:
         TimeoutError
             If it has not ended in time.
         """
-        deadline = time.monotonic() + timeout_s
-        etag: str | None = None
-        while True:
-            left = deadline - time.monotonic()
-            if left <= 0:
-                raise TimeoutError(f"design {design_id} has not ended within {timeout_s:.0f} s")
-            record, etag = self.design(design_id, max(1, int(min(LONG_POLL_S, left))), etag)
-            if record is None:
-                continue
-            if on_change is not None:
-                on_change(record)
-            if record["status"] in TERMINAL:
-                return record
+        return self._follow(f"/v1/designs/{design_id}", on_change, timeout_s)
+
+    def submit_study(self, domain: str, plan: Mapping[str, object], *, idempotency_key: str | None = None) -> Json:
+        """Ask for a study; gives its record.
+
+        Parameters
+        ----------
+        domain
+            Id of an uploaded domain.
+        plan
+            ``spec``, ``grid``, and perhaps ``metrics``, ``name``, ``labels``.
+        idempotency_key
+            As for ``submit``.
+        """
+        body = {**plan, "domain": domain}
+        key = idempotency_key or f"client-{hashlib.sha256(f'{body}{time.time_ns()}'.encode()).hexdigest()[:32]}"
+        return self._json("POST", "/v1/studies", json=body, headers={"Idempotency-Key": key})
+
+    def study(self, study_id: str, wait_s: int = 0, etag: str | None = None) -> tuple[Json | None, str]:
+        """One look at a study, as ``design`` does."""
+        return self._look(f"/v1/studies/{study_id}", wait_s, etag)
+
+    def wait_study(
+        self, study_id: str, on_change: Callable[[Json], None] | None = None, timeout_s: float = float("inf")
+    ) -> Json:
+        """Follow a study until all of its points have ended, as ``wait`` does."""
+        return self._follow(f"/v1/studies/{study_id}", on_change, timeout_s)
+
+    def cancel_study(self, study_id: str) -> Json:
+        """Ask all designs of a study to stop."""
+        return self._json("POST", f"/v1/studies/{study_id}/cancel")
+
+    def download_study(self, record: Mapping[str, Any], folder: Path) -> list[Path]:
+        """Save the tables and the picture of a study."""
+        folder.mkdir(parents=True, exist_ok=True)
+        saved = []
+        for file in record["files"]:
+            target = folder / Path(str(file["name"])).name
+            target.write_bytes(self._send("GET", str(file["href"])).content)
+            saved.append(target)
+        return saved
 
     def cancel(self, design_id: str) -> Json:
         """Ask a design to stop."""
@@ -149,6 +173,28 @@ class Client:
         """A JSON artifact, such as ``report.json``."""
         href = next(a["href"] for a in record["artifacts"] if a["name"] == name)
         return self._json("GET", str(href), follow_redirects=True)
+
+    def _look(self, path: str, wait_s: int, etag: str | None) -> tuple[Json | None, str]:
+        headers = {"Prefer": f"wait={wait_s}"} if wait_s else {}
+        if etag:
+            headers["If-None-Match"] = etag
+        answer = self._send("GET", path, headers=headers)
+        return (None if answer.status_code == 304 else answer.json()), answer.headers.get("ETag", etag or "")
+
+    def _follow(self, path: str, on_change: Callable[[Json], None] | None, timeout_s: float) -> Json:
+        deadline = time.monotonic() + timeout_s
+        etag: str | None = None
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise TimeoutError(f"{path} has not ended within {timeout_s:.0f} s")
+            record, etag = self._look(path, max(1, int(min(LONG_POLL_S, left))), etag)
+            if record is None:
+                continue
+            if on_change is not None:
+                on_change(record)
+            if record["status"] in TERMINAL:
+                return record
 
     def _save(self, artifact: Mapping[str, Any], folder: Path) -> Path:
         target = folder / Path(str(artifact["name"])).name
