@@ -22,8 +22,10 @@ from dualms.progress import Progress, Silent
 from dualms.spec import DirectionFlow, FlowSpec, NoFlow, PathFlow
 
 VOXELS = 60_000  # inside voxels of the guidance grid: lines are smooth, so a coarse grid does
-RESOLUTIONS = (64, 192)
+RESOLUTIONS = (32, 192)
 IDLE_SHARE = 0.05  # below this share of the median speed a fluid's line counts less and less
+EVEN_STEPS = 6
+EVEN_FLOOR = 1e-3  # of the median gradient: keeps the conductivity finite where the flow stands still
 SMOOTHING = 1.0  # voxels; rounds the lines at stagnation points and at a path's corners
 PATH_SAMPLES = 200_000
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -97,7 +99,8 @@ def flow_field(
     progress = progress or Silent()
     if isinstance(spec, NoFlow):
         return None
-    resolution = int(np.clip((VOXELS / domain.volume) ** (1 / 3), *RESOLUTIONS))
+    voxels = VOXELS if getattr(spec, "spread", 2.0) == 2.0 else VOXELS / 3  # seven solves instead of one
+    resolution = int(np.clip((voxels / domain.volume) ** (1 / 3), *RESOLUTIONS))
     grid = domain.grid(resolution)
     inside = domain.inside(grid)
     progress.report("flow", 0.3, f"{int(inside.sum())} voxels")
@@ -109,11 +112,13 @@ def flow_field(
         path = (np.array(spec.points) * units_m - domain.offset_m) / domain.scale_m
         tensors = _outer(path_lines(path, grid.points(inside), grid.spacing / 2))
     else:
-        tensors = _potential_tensors(domain, grid, inside, progress)
+        tensors = _potential_tensors(domain, grid, inside, spec.spread, progress)
     return FlowField(grid, inside, _spread(inside, tensors))
 
 
-def potential(inside: Mask, inlet: NDArray[np.int64], outlet: NDArray[np.int64]) -> tuple[Array, Array]:
+def potential(
+    inside: Mask, inlet: NDArray[np.int64], outlet: NDArray[np.int64], conductivity: Array | None = None
+) -> tuple[Array, Array]:
     """Potential flow from an inlet to an outlet through a voxel domain with tight walls.
 
     Parameters
@@ -122,13 +127,15 @@ def potential(inside: Mask, inlet: NDArray[np.int64], outlet: NDArray[np.int64])
         Voxels of the domain; they must be connected.
     inlet, outlet
         (K, 3) indices of the inside voxels at potential 1 and 0 behind half a voxel.
+    conductivity
+        (P,) positive, for the inside voxels in C order; None for 1 everywhere.
 
     Returns
     -------
     potential
         (P,) in [0, 1], for the inside voxels in C order.
     velocity
-        (P, 3) minus the potential's gradient, per voxel.
+        (P, 3) minus the potential's gradient times the conductivity, per voxel.
 
     Notes
     -----
@@ -138,19 +145,21 @@ def potential(inside: Mask, inlet: NDArray[np.int64], outlet: NDArray[np.int64])
     count = int(inside.sum())
     number[inside] = np.arange(count)
     sources = number[tuple(inlet.T)], number[tuple(outlet.T)]
-    diagonal, right = np.zeros(count), np.zeros(count)
+    resistance = np.ones(count) if conductivity is None else 1.0 / conductivity
     pairs = [_neighbours(number, axis) for axis in range(3)]
+    links = [2.0 / (resistance[a] + resistance[b]) for a, b in pairs]
     rows = np.concatenate([np.concatenate([a, b]) for a, b in pairs])
     columns = np.concatenate([np.concatenate([b, a]) for a, b in pairs])
-    np.add.at(diagonal, rows, 1.0)
+    values = np.concatenate([np.concatenate([link, link]) for link in links])
+    diagonal, right = np.bincount(rows, values, count), np.zeros(count)
     for voxels, value in zip(sources, (1.0, 0.0), strict=True):
-        np.add.at(diagonal, voxels, 2.0)
-        np.add.at(right, voxels, 2.0 * value)
+        np.add.at(diagonal, voxels, 2.0 / resistance[voxels])
+        np.add.at(right, voxels, 2.0 * value / resistance[voxels])
     everything = np.arange(count)
     matrix = csr_array(
         coo_array(
             (
-                np.concatenate([diagonal, np.full(len(rows), -1.0)]),
+                np.concatenate([diagonal, -values]),
                 (np.concatenate([everything, rows]), np.concatenate([everything, columns])),
             )
         )
@@ -161,14 +170,36 @@ def potential(inside: Mask, inlet: NDArray[np.int64], outlet: NDArray[np.int64])
     velocity = np.zeros((count, 3))
     at_port = np.zeros(count, dtype=bool)
     at_port[np.concatenate(sources)] = True
-    for axis, (a, b) in enumerate(pairs):
-        flux, faces = np.zeros(count), np.zeros(count)
-        for side in (a, b):
-            np.add.at(flux, side, solution[a] - solution[b])
-            np.add.at(faces, side, 1.0)
+    for axis, ((a, b), link) in enumerate(zip(pairs, links, strict=True)):
+        through = link * (solution[a] - solution[b])
+        flux = np.bincount(a, through, count) + np.bincount(b, through, count)
+        faces = np.bincount(a, minlength=count) + np.bincount(b, minlength=count)
         # A wall's face carries no flux and counts; beyond a port nothing is known, so its face does not count.
         velocity[:, axis] = flux / np.where(at_port, np.maximum(faces, 1.0), 2.0)
     return solution, velocity
+
+
+def even_flow(inside: Mask, inlet: NDArray[np.int64], outlet: NDArray[np.int64], exponent: float) -> Array:
+    """(P, 3) velocity of the flow that minimises the integral of its speed to the power ``exponent`` (at least 2).
+
+    The higher the exponent, the dearer is a fast spot, so the more evenly the flow fills the domain's sections.
+
+    Notes
+    -----
+    Its potential solves the p-Laplace equation with p = exponent / (exponent - 1) in (1, 2]; for such p the plain
+    iteration on the conductivity, speed^(2 - exponent), decreases the energy at every step (Weiszfeld).
+    """
+    _, velocity = potential(inside, inlet, outlet)
+    if exponent == 2:
+        return velocity
+    conductivity = np.ones(len(velocity))
+    power = exponent / (exponent - 1) - 2
+    for _ in range(EVEN_STEPS):
+        gradient = np.linalg.norm(velocity, axis=1) / conductivity
+        conductivity = (gradient**2 + (EVEN_FLOOR * np.median(gradient)) ** 2) ** (power / 2)
+        conductivity /= np.median(conductivity)
+        _, velocity = potential(inside, inlet, outlet, conductivity)
+    return velocity
 
 
 def path_lines(path: Array, points: Array, step: float) -> Array:
@@ -185,7 +216,7 @@ def path_lines(path: Array, points: Array, step: float) -> Array:
     return np.asarray((parts / lengths[:, None])[owner[nearest]])
 
 
-def _potential_tensors(domain: Domain, grid: Grid, inside: Mask, progress: Progress) -> Array:
+def _potential_tensors(domain: Domain, grid: Grid, inside: Mask, spread: float, progress: Progress) -> Array:
     """(P, 6) sum over the fluids of the outer products of their directions."""
     voxels = domain.port_voxels(grid, inside)
     total = np.zeros((int(inside.sum()), 6))
@@ -200,7 +231,7 @@ def _potential_tensors(domain: Domain, grid: Grid, inside: Mask, progress: Progr
         key = frozenset(e.tobytes() for e in ends)
         velocity = next((v for k, v in solved if k == key), None)
         if velocity is None:
-            _, velocity = potential(inside, *ends)
+            velocity = even_flow(inside, ends[0], ends[1], spread)
             solved.append((key, velocity))
         speed = np.linalg.norm(velocity, axis=1)
         floor = IDLE_SHARE * float(np.median(speed)) + 1e-30

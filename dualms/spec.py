@@ -106,6 +106,13 @@ class PotentialFlow(Model):
     """Guidance along the potential flow between each fluid's inlets and outlets."""
 
     kind: Literal["potential"] = "potential"
+    spread: float = Field(
+        2.0,
+        ge=2,
+        le=8,
+        description="Exponent s of the flow that minimises ∫ |velocity|^s: 2 is the potential flow, more spreads each "
+        "fluid more evenly over the envelope. Ours.",
+    )
 
 
 class DirectionFlow(Model):
@@ -228,15 +235,9 @@ NEURAL_PRESETS: dict[str, dict[str, object]] = {
 """What a preset sets where the specification is silent; everything else has the paper's value."""
 
 
-class NeuralField(Model):
-    """The paper's network and losses (section 5)."""
+class NetworkField(Model):
+    """A network, and how it is trained with the paper's losses (section 5)."""
 
-    method: Literal["neural"]
-    preset: Literal["paper", "released", "cpu"] = Field(
-        "paper",
-        description="Defaults of the other fields: 'paper'; 'released', the authors' code where it differs (4 hidden "
-        "layers); 'cpu' (ours), a budget that ends in minutes on two cores.",
-    )
     steps: int = Field(51_200, ge=1, le=1_000_000, description="Training steps. Paper, section 6.1: 5.12e4.")
     points: int = Field(
         32_768,
@@ -262,6 +263,17 @@ class NeuralField(Model):
         False, description="Late in training, teach stray pockets their surrounding fluid (ours; the paper has none)."
     )
 
+
+class NeuralField(NetworkField):
+    """The paper's network and losses (section 5)."""
+
+    method: Literal["neural"]
+    preset: Literal["paper", "released", "cpu"] = Field(
+        "paper",
+        description="Defaults of the other fields: 'paper'; 'released', the authors' code where it differs (4 hidden "
+        "layers); 'cpu' (ours), a budget that ends in minutes on two cores.",
+    )
+
     @model_validator(mode="before")
     @classmethod
     def _fill_from_preset(cls, given: object) -> object:
@@ -271,7 +283,22 @@ class NeuralField(Model):
         return {**NEURAL_PRESETS.get(preset, {}), **given} if isinstance(preset, str) else given
 
 
-FieldSpec = Annotated[AutoField | PhaseField | NeuralField, Field(discriminator="method")]
+class DistilledField(NetworkField):
+    """The phase field taught to the paper's network, then trained on with the paper's losses (ours)."""
+
+    method: Literal["distilled"]
+    resolution: int = Field(128, ge=24, le=512, description="Voxels of the phase field along the longest side. Ours.")
+    minimality: float = Field(0.5, ge=0, le=1, description="Of the phase field that is taught. Ours.")
+    teaching_steps: int = Field(1200, ge=0, le=1_000_000, description="Steps on the phase field's values. Ours.")
+    steps: int = Field(100, ge=0, le=1_000_000, description="Steps with the paper's losses after that. Ours.")
+    points: int = Field(4096, ge=64, le=1_048_576, description="Points per step. Ours.")
+    learning_rate: float = Field(3e-3, gt=0, le=1, description="Adam's first step size. Ours.")
+    decay: float = Field(0.9, gt=0, le=1, description="Factor on the learning rate. Ours.")
+    decay_every: int = Field(40, ge=1, description="Steps between two decays. Ours.")
+    gradient: Literal["exact", "secants"] = Field("secants", description="Of the total variation. Ours: cheaper.")
+
+
+FieldSpec = Annotated[AutoField | PhaseField | NeuralField | DistilledField, Field(discriminator="method")]
 
 
 # --- build ------------------------------------------------------------------------------------------------------

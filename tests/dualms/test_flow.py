@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dualms.flow import FlowField, flow_field, path_lines, potential
+from dualms.flow import FlowField, even_flow, flow_field, path_lines, potential
 from dualms.spec import DirectionFlow, FluidsSpec, NoFlow, PathFlow, PotentialFlow
 from tests.dualms.shapes import box_mesh, domain_of, end_ports, shared_ends
 
@@ -102,3 +102,30 @@ def test_flow_field_refuses_arrays_that_do_not_fit() -> None:
     flow = _field(shared_ends(SIZE))
     with pytest.raises(ValueError, match="six tensor components"):
         FlowField(flow.grid, flow.inside, flow.tensor[..., :3])
+
+
+def test_even_flow_in_a_ring_falls_as_the_closed_form() -> None:
+    # Between two radial faces the gradient is 1/(r·angle), so the flow that minimises ∫|v|^s has |v| ~ r^(-1/(s-1)).
+    cells = 30
+    x, y = np.meshgrid(np.arange(cells) + 0.5, np.arange(cells) + 0.5, indexing="ij")
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    inside = np.repeat(((radius > 8) & (radius < 28))[:, :, None], 2, axis=2)
+    voxels = np.argwhere(inside)
+    velocity = even_flow(inside, voxels[voxels[:, 1] == 0], voxels[voxels[:, 0] == 0], 4.0)
+    at = radius[tuple(voxels[:, :2].T)]
+    middle = (np.abs(angle[tuple(voxels[:, :2].T)] - np.pi / 4) < 0.5) & (at > 10) & (at < 26)
+    slope = np.polyfit(np.log(at[middle]), np.log(np.linalg.norm(velocity, axis=1)[middle]), 1)[0]
+    assert slope == pytest.approx(-1 / 3, abs=0.04)
+
+
+def test_spread_fills_the_sections_more_evenly() -> None:
+    inside = np.zeros((26, 18, 12), dtype=bool)
+    inside[1:-1, 1:-1, 1:-1] = True
+    voxels = np.argwhere(inside)
+    corner = (voxels[:, 1] < 5) & (voxels[:, 2] < 5)
+    inlet, outlet = voxels[corner & (voxels[:, 0] == 1)], voxels[corner & (voxels[:, 0] == 24)]
+    uneven = []
+    for exponent in (2.0, 4.0, 8.0):
+        along = even_flow(inside, inlet, outlet, exponent)[voxels[:, 0] == 13, 0]
+        uneven.append(along.std() / along.mean())
+    assert uneven[0] > 1.5 * uneven[1] > 1.5 * uneven[2]
