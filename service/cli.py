@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
@@ -181,32 +182,61 @@ def submit(
     timeout: Annotated[float | None, typer.Option(help="Give up waiting after so many seconds.", min=1)] = None,
 ) -> None:
     """Send a design to a service; for scripts and CI."""
-    from service.client import Client, ServiceError, Unreachable
+    from service.client import Client
 
     wanted = _requirements(require)
     document = _read_json(spec)
+    with _refusals_of(url), Client(url, key) as client:
+        record = _send(client, domain, document, name)
+        if not (wait or out_dir or wanted):
+            out.print_json(data=record)
+            return
+        record = _follow(client, record, timeout or float("inf"))
+        if record["status"] != "succeeded":
+            problem = record["error"] or {"detail": f"The design was {record['status']}.", "advice": "", "code": ""}
+            refuse(problem["detail"], problem["advice"], problem["code"])
+        if out_dir is not None:
+            for path in client.download(record, out_dir):
+                out.print(str(path), highlight=False, soft_wrap=True)
+        if wanted:
+            _judge(wanted, client.artifact_json(record, "report.json"))
+
+
+@app.command()
+@one_line_errors
+def study(
+    file: Annotated[Path, typer.Argument(help="Study: a JSON file with domain, spec and grid.", show_default=False)],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for table and picture.", show_default=False)],
+    domain: Annotated[Path | None, typer.Option(help="Envelope, instead of the file's.", show_default=False)] = None,
+    url: Annotated[str | None, typer.Option(help="The service; without it, this process.", show_default=False)] = None,
+    key: Annotated[str | None, typer.Option(help="API key.", envvar="DUALMS_API_KEY", show_envvar=True)] = None,
+    timeout: Annotated[float | None, typer.Option(help="Give up waiting after so many seconds.", min=1)] = None,
+) -> None:
+    """Make designs over a grid of specification fields: a table, and a picture with the Pareto front. Resumable."""
+    from service.problems import Problem
+    from service.studies.command import front_table, read_plan, read_table, study_remote
+
+    place, plan = read_plan(file, _read_json(file), domain)
     try:
-        with Client(url, key) as client:
-            record = _send(client, domain, document, name)
-            if not (wait or out_dir or wanted):
-                out.print_json(data=record)
-                return
-            record = _follow(client, record, timeout or float("inf"))
-            if record["status"] != "succeeded":
-                problem = record["error"] or {"detail": f"The design was {record['status']}.", "advice": "", "code": ""}
-                refuse(problem["detail"], problem["advice"], problem["code"])
-            if out_dir is not None:
-                for path in client.download(record, out_dir):
-                    out.print(str(path), highlight=False, soft_wrap=True)
-            if wanted:
-                _judge(wanted, client.artifact_json(record, "report.json"))
-    except ServiceError as error:
-        fields = "".join(f"\n         {f['field']}: {f['message']}" for f in error.problem.get("errors", [])[1:])
-        refuse(str(error.problem.get("detail", error)) + fields, error.advice, error.code)
-    except Unreachable as error:
-        refuse(str(error), f"Is the service running at {url}? Start one with: dualms serve", "unreachable")
-    except TimeoutError as error:
-        refuse(str(error), "It goes on in the service; give --timeout more seconds.", "timeout")
+        if url is None:
+            from service.studies.here import study_here
+
+            if not isinstance(place, Path):
+                refuse("The study names a domain by its id.", "Give --domain FILE, or --url of its service.")
+            study_here(place, plan, file.stem, out_dir)
+        else:
+            from service.client import Client
+
+            with _refusals_of(url), Client(url, key) as client:
+                study_remote(client, place, plan, out_dir, err, timeout or float("inf"))
+    except Problem as error:
+        refuse(str(error.detail), error.advice, error.code)
+    table = read_table(out_dir)
+    out.print(front_table(table))
+    for name in ("table.csv", "table.json", "table.html", "picture.png"):
+        out.print(str(out_dir / name), highlight=False, soft_wrap=True)
+    if not table.count("succeeded"):
+        refuse("No point has succeeded.", "table.html says why.", "study-failed")
 
 
 @app.command()
@@ -243,6 +273,22 @@ def doctor(data: Data = None) -> None:
     out.print(findings_table(findings))
     if any(f.state == "missing" for f in findings):
         raise typer.Exit(EXIT_UNMET)
+
+
+@contextmanager
+def _refusals_of(url: str) -> Iterator[None]:
+    """Turn what a service refuses, or its silence, into one clear line and exit code 2."""
+    from service.client import ServiceError, Unreachable
+
+    try:
+        yield
+    except ServiceError as error:
+        fields = "".join(f"\n         {f['field']}: {f['message']}" for f in error.problem.get("errors", [])[1:])
+        refuse(str(error.problem.get("detail", error)) + fields, error.advice, error.code)
+    except Unreachable as error:
+        refuse(str(error), f"Is the service running at {url}? Start one with: dualms serve", "unreachable")
+    except TimeoutError as error:
+        refuse(str(error), "It goes on in the service; give --timeout more seconds.", "timeout")
 
 
 def _send(client: Any, domain: Path, document: dict[str, Any], name: str | None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import secrets
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
@@ -213,6 +214,8 @@ def install(app: FastAPI) -> None:
         if code is None:
             raise error
         headers = dict(error.headers or {})
+        if error.status_code == 405 and (methods := _methods_at(app, request.url.path)):
+            headers["Allow"] = ", ".join(methods)
         detail = str(error.detail) if code == "malformed-request" else f"{request.method} {request.url.path}"
         return Problem(code, detail, "GET /openapi.json lists the calls.", headers=headers).response()
 
@@ -238,6 +241,14 @@ def install(app: FastAPI) -> None:
             "Try again; if it stays, send that id to whoever runs the service.",
             measured={"incident": incident},
         ).response()
+
+
+def _methods_at(app: FastAPI, path: str) -> list[str]:
+    """All methods that the OpenAPI document has for a path; Starlette names only those of one route."""
+    for template, item in app.openapi()["paths"].items():
+        if re.fullmatch(re.sub(r"\{[^}]+\}", "[^/]+", template), path):
+            return sorted(method.upper() for method in item)
+    return []
 
 
 def _path(location: Sequence[str | int], prefix: str) -> str:

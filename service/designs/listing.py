@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated
 from urllib.parse import urlencode
 
 from fastapi import Query
-from pydantic import AwareDatetime
+from pydantic import AwareDatetime, BeforeValidator
 
 from service.backend import Backend
 from service.designs.schemas import DesignPage, Label, Status
 from service.designs.views import design_summary
+
+
+def _no_number(value: object) -> object:
+    """Refuse seconds since 1970, which pydantic would take and the document does not promise."""
+    if isinstance(value, str) and re.fullmatch(r"[-+]?[\d.eE+-]+", value) and value.count("-") < 2:
+        raise ValueError("a time is ISO 8601 with a time zone, such as 2026-01-31T12:00:00Z")
+    return value
+
+
+Time = Annotated[AwareDatetime, BeforeValidator(_no_number)]
 
 
 @dataclass(frozen=True)
@@ -23,8 +34,8 @@ class Filters:
     cursor: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="From the page before.")] = None
     status: Annotated[Status | None, Query(description="Only these.")] = None
     label: Annotated[Label | None, Query(description="Only those with this label.")] = None
-    created_after: Annotated[AwareDatetime | None, Query(description="ISO 8601, with a time zone; included.")] = None
-    created_before: Annotated[AwareDatetime | None, Query(description="ISO 8601, with a time zone; excluded.")] = None
+    created_after: Annotated[Time | None, Query(description="ISO 8601, with a time zone; included.")] = None
+    created_before: Annotated[Time | None, Query(description="ISO 8601, with a time zone; excluded.")] = None
 
 
 def list_page(backend: Backend, filters: Filters) -> DesignPage:

@@ -320,12 +320,19 @@ def test_unknown_domain_is_refused(served: Served, spec: dict[str, Any]) -> None
         ("GET", "/v1/designs?cursor=x", 422, "invalid-request"),
         ("GET", "/v1/designs?status=lost", 422, "invalid-request"),
         ("GET", "/v1/designs?created_after=yesterday", 422, "invalid-request"),
+        ("GET", "/v1/designs?created_after=0.5", 422, "invalid-request"),
+        ("GET", "/v1/designs?created_before=2026-01-01T00:00:00", 422, "invalid-request"),
         ("PATCH", "/v1/designs", 405, "method-not-allowed"),
         ("POST", "/healthz", 405, "method-not-allowed"),
     ],
 )
 def test_bad_address_is_refused(served: Served, method: str, path: str, status: int, code: str) -> None:
     refused(served.http.request(method, path), status, code)
+
+
+def test_a_refused_method_names_all_that_are_allowed(served: Served) -> None:
+    answer = served.http.patch("/v1/designs/" + "0" * 32)
+    assert (answer.status_code, answer.headers["allow"]) == (405, "DELETE, GET")
 
 
 def test_an_artifact_that_is_not_there_is_refused(served: Served, domain_id: str, spec: dict[str, Any]) -> None:
