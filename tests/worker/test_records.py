@@ -85,7 +85,7 @@ def test_deleting_leaves_no_row(records: Records, design: DesignRecord) -> None:
 
 
 def test_ids_sort_by_time(records: Records, domain: DomainRecord) -> None:
-    made = [records.create_design(NewDesign(domain.id, small_spec()))[0] for _ in range(2)]
+    made = [records.create_design(NewDesign(domain.id, small_spec()))[0] for _ in range(3)]
     assert [d.created_at for d in made] == sorted(d.created_at for d in made)
     assert len({d.id for d in made}) == 3
 
