@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +12,13 @@ from dualms.domain import Domain
 from dualms.errors import EmptySurface
 from dualms.field import topology
 from dualms.grid import Grid
-
-if TYPE_CHECKING:
-    from dualms.skeletons import Skeletons
+from dualms.skeletons import Skeletons
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _DEPTH_VOXELS = 3
+_GAP_RESOLUTION = 48
 
 
 @dataclass(frozen=True)
@@ -85,6 +83,13 @@ class Lattice:
             distance[near] = cKDTree(samples).query(points, workers=-1)[0]
             away.append(distance)
         return away[0], away[1]
+
+
+def typical_gap(domain: Domain, skeletons: Skeletons) -> float:
+    """Median over the domain of the way between the skeletons through a point: about the spacing of the sites."""
+    lattice = Lattice.of(domain, skeletons, _GAP_RESOLUTION)
+    to_hot, to_cold = lattice.distances(skeletons)
+    return float(np.median((to_hot + to_cold)[lattice.inside]))
 
 
 def colour(u: Floats, hot: Mask) -> None:

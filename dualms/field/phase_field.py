@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +16,9 @@ from dualms.field import minimal
 from dualms.field.diffusion import INTERFACE_OVER_GAP, INTERFACE_VOXELS, diffuse
 from dualms.field.field import Field, History
 from dualms.field.interface import continued, distance_of
-from dualms.field.lattice import Lattice
+from dualms.field.lattice import Lattice, typical_gap
 from dualms.progress import Progress
-
-if TYPE_CHECKING:
-    from dualms.skeletons import Skeletons
+from dualms.skeletons import Skeletons
 
 DIFFUSED = 0.5
 """The minimality at which the diffusion is complete."""
@@ -64,9 +61,7 @@ def solve_phase_field(
     -----
     Nothing is random. At 128³: about 30 passes over the grid a diffusion step, 60 an iteration of the descent.
     """
-    coarse = Lattice.of(domain, skeletons, min(resolution, 64))
-    to_hot, to_cold = coarse.distances(skeletons)
-    gap = float(np.median((to_hot + to_cold)[coarse.inside]))
+    gap = typical_gap(domain, skeletons)
     share = max(0.0, 2 * minimality - 1)
     resolutions = minimal.levels(resolution, gap) if share > 0 else []
     # Finer than its interface the diffusion gains nothing, and splines refine its result as well.

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dualms.domain import Domain
 from dualms.field.field import Field
 from dualms.progress import Progress
-from dualms.spec import NeuralField, PhaseField
-
-if TYPE_CHECKING:
-    from dualms.skeletons import Skeletons
+from dualms.skeletons import Skeletons
+from dualms.spec import DistilledField, NeuralField, PhaseField
 
 
 def solve_field(
     domain: Domain,
     skeletons: Skeletons,
-    spec: PhaseField | NeuralField,
+    spec: PhaseField | NeuralField | DistilledField,
     seed: int,
     device: str,
     checkpoint: Path | None,

@@ -5,27 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from dualms.domain import Domain
 from dualms.errors import FieldDiverged
-from dualms.field import topology
 from dualms.field.field import Field, History
-from dualms.field.lattice import Lattice
-from dualms.field.losses import skeleton_loss, smoothness_exact, smoothness_secants
+from dualms.field.lattice import Lattice, typical_gap
 from dualms.field.network import Network
+from dualms.field.objectives import Imitation, Objective, PaperLoss, Samples
+from dualms.field.phase_field import solve_phase_field
 from dualms.progress import Progress
-from dualms.spec import NeuralField
-
-if TYPE_CHECKING:
-    from dualms.skeletons import Skeletons
+from dualms.skeletons import Skeletons
+from dualms.spec import DistilledField, NetworkField, NeuralField
 
 CHECKPOINT_SECONDS = 60.0
 _LOG_EVERY = 10
@@ -35,73 +30,8 @@ _REPAIRS = (0.6, 0.7, 0.8, 0.9)
 """Shares of the steps after which stray pockets are looked for."""
 _EXTRA_ROUNDS = 6
 _EXTRA_STEPS = 50
-_REPAIR_POINTS = 256
-_CLEAR = 0.2
-"""Least value, with its sign, that a former pocket is taught: enough for the right colour, no pull beyond."""
-
-
-@dataclass(frozen=True)
-class Samples:
-    """What the batches are drawn from, on the device.
-
-    Parameters
-    ----------
-    hot, cold
-        (P, 3) and (Q, 3) samples of the skeletons.
-    corners
-        (K, 3) lower corners of the voxels inside the domain.
-    spacing
-        Edge of these voxels.
-    """
-
-    hot: Tensor
-    cold: Tensor
-    corners: Tensor
-    spacing: float
-
-    @classmethod
-    def of(cls, lattice: Lattice, skeletons: Skeletons, device: torch.device) -> Samples:
-        """Move skeletons and the voxelised domain to a device."""
-        corners = lattice.grid.points(lattice.inside) - lattice.grid.spacing / 2
-
-        def move(points: np.ndarray) -> Tensor:
-            return torch.tensor(points, dtype=torch.float32, device=device)
-
-        return cls(move(skeletons.hot), move(skeletons.cold), move(corners), lattice.grid.spacing)
-
-    def skeleton(self, points: Tensor, count: int, noise_std: float, generator: torch.Generator) -> Tensor:
-        """(count, 3) samples of a skeleton with the paper's Gaussian noise (Eq. 7)."""
-        chosen = torch.randint(len(points), (count,), generator=generator, device=points.device)
-        return points[chosen] + noise_std * torch.randn((count, 3), generator=generator, device=points.device)
-
-    def volume(self, count: int, generator: torch.Generator) -> Tensor:
-        """(count, 3) uniform points of the voxelised domain."""
-        device = self.corners.device
-        chosen = torch.randint(len(self.corners), (count,), generator=generator, device=device)
-        return self.corners[chosen] + self.spacing * torch.rand((count, 3), generator=generator, device=device)
-
-
-def stray_voxels(lattice: Lattice, values: NDArray[np.float32]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which voxels have the wrong sign: stray pockets and skeleton voxels of the other fluid.
-
-    Parameters
-    ----------
-    lattice
-        The voxelised domain.
-    values
-        (K,) the field at the voxels inside, in C order.
-
-    Returns
-    -------
-    tuple
-        (nx, ny, nz) the wrong voxels, and the colouring that is wanted.
-    """
-    hot = np.zeros(lattice.grid.shape, dtype=bool)
-    hot[lattice.inside] = values > 0
-    ours, theirs = lattice.skeleton
-    wanted = (hot | (ours & ~theirs)) & ~(theirs & ~ours)
-    wanted, _ = topology.without_pockets(wanted, lattice.inside, lattice.skeleton)
-    return (wanted != hot) & lattice.inside, wanted
+_TEACHER_SHARE = 0.1
+"""Of the progress of a distilled run, spent on the phase field."""
 
 
 class Model:
@@ -115,7 +45,7 @@ class Model:
         Of the frequencies and the start, on the same device.
     """
 
-    def __init__(self, spec: NeuralField, generator: torch.Generator) -> None:
+    def __init__(self, spec: NetworkField, generator: torch.Generator) -> None:
         half = spec.features // 2
         device = generator.device
         self.frequencies = spec.fourier_scale * torch.randn((3, half), generator=generator, device=device)
@@ -148,42 +78,52 @@ class Model:
 
 
 class Training:
-    """The state of one run: everything that a checkpoint holds."""
+    """The state of one run: everything that a checkpoint holds.
 
-    def __init__(self, spec: NeuralField, samples: Samples, seed: int, device: torch.device) -> None:
+    Parameters
+    ----------
+    spec
+        Network and schedule.
+    lessons
+        Objectives and the number of steps on each, one after the other; the last may be prolonged.
+    seed
+        Of the start and of all batches.
+    device
+        Where it runs.
+    """
+
+    def __init__(
+        self, spec: NetworkField, lessons: list[tuple[int, Objective]], seed: int, device: torch.device
+    ) -> None:
         self.spec = spec
-        self.samples = samples
+        self.lessons = lessons
         self.generator = torch.Generator(device).manual_seed(seed)
         self.model = Model(spec, self.generator)
         self.optimizer = torch.optim.Adam(self.model.parameters, lr=spec.learning_rate, fused=True)
         self.step = 0
-        self.last = spec.steps
-        self.repairs = torch.zeros((0, 4), device=device)
-        most = spec.steps + _EXTRA_ROUNDS * _EXTRA_STEPS
-        self.log = torch.zeros((math.ceil(most / _LOG_EVERY), 3), dtype=torch.float64, device=device)
+        self.planned = sum(steps for steps, _ in lessons)
+        self.last = self.planned
+        self.log = torch.zeros((math.ceil(self.most / _LOG_EVERY), 3), dtype=torch.float64, device=device)
+
+    @property
+    def most(self) -> int:
+        """Steps beyond which the run is not prolonged."""
+        return self.planned + _EXTRA_ROUNDS * _EXTRA_STEPS
+
+    def objective(self) -> Objective:
+        """What the next step lowers."""
+        begun = 0
+        for steps, objective in self.lessons:
+            begun += steps
+            if self.step < begun:
+                return objective
+        return self.lessons[-1][1]
 
     def advance(self) -> None:
         """One step of Adam; nothing is copied to the host."""
-        spec, generator, samples = self.spec, self.generator, self.samples
         for group in self.optimizer.param_groups:
-            group["lr"] = spec.learning_rate * spec.decay ** (self.step // spec.decay_every)
-        half = max(1, spec.points // 2)
-        hot = samples.skeleton(samples.hot, half, spec.noise_std, generator)
-        cold = samples.skeleton(samples.cold, half, spec.noise_std, generator)
-        taught = self._draw_repairs()
-        values = self.model(torch.cat([hot, cold, taught[:, :3]]))
-        fidelity = skeleton_loss(values[:half], values[half : 2 * half])
-        loss = spec.skeleton_weight * fidelity
-        if len(taught):
-            loss = loss + spec.skeleton_weight * torch.relu(_CLEAR - taught[:, 3] * values[2 * half :]).mean()
-        smoothness = torch.zeros_like(fidelity)
-        if spec.smoothness_weight > 0:
-            inside = samples.volume(spec.points, generator)
-            if spec.gradient == "exact":
-                smoothness = smoothness_exact(self.model, inside)
-            else:
-                smoothness = smoothness_secants(self.model, inside, generator)
-            loss = loss + spec.smoothness_weight * smoothness
+            group["lr"] = self.spec.learning_rate * self.spec.decay ** (self.step // self.spec.decay_every)
+        loss, fidelity, smoothness = self.objective()(self.model, self.generator)
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self.optimizer.step()
@@ -191,29 +131,6 @@ class Training:
             row = torch.stack([loss.detach(), fidelity.detach(), smoothness.detach()])
             self.log[self.step // _LOG_EVERY] = row.double()
         self.step += 1
-
-    def repair(self, lattice: Lattice) -> int:
-        """Look for stray pockets and teach them from now on; their number of voxels."""
-        device = self.log.device
-        with torch.no_grad():
-            centres = self.samples.corners + self.samples.spacing / 2
-            values = torch.cat([self.model(part) for part in torch.split(centres, 16_384)]).cpu().numpy()
-        wrong, wanted = stray_voxels(lattice, values)
-        found = np.column_stack([lattice.grid.points(wrong), np.where(wanted[wrong], 1.0, -1.0)])
-        fresh = torch.tensor(found, dtype=torch.float32, device=device)
-        self.repairs = torch.cat([self.repairs, fresh])
-        return len(found)
-
-    def _draw_repairs(self) -> Tensor:
-        """(R, 4) points of former pockets and their targets; none as long as there are none."""
-        if not len(self.repairs):
-            return self.repairs
-        device = self.log.device
-        chosen = self.repairs[
-            torch.randint(len(self.repairs), (_REPAIR_POINTS,), generator=self.generator, device=device)
-        ]
-        jitter = torch.rand((_REPAIR_POINTS, 3), generator=self.generator, device=device) - 0.5
-        return torch.cat([chosen[:, :3] + self.samples.spacing * jitter, chosen[:, 3:]], dim=1)
 
     def history(self) -> History:
         """What was logged so far."""
@@ -226,14 +143,15 @@ class Training:
         state = {
             "spec": self.spec.model_dump_json(),
             "step": self.step,
+            "last": self.last,
             "frequencies": self.model.frequencies,
             "parameters": [p.detach() for p in self.model.parameters],
             "optimizer": self.optimizer.state_dict(),
             "generator": self.generator.get_state(),
             "log": self.log,
-            "repairs": self.repairs,
-            "last": self.last,
+            "repairs": [o.repairs for _, o in self.lessons if isinstance(o, PaperLoss)],
         }
+        path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(path.name + ".partial")
         torch.save(state, partial)
         partial.replace(path)
@@ -252,20 +170,22 @@ class Training:
         self.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"].cpu())
         self.log.copy_(state["log"])
-        self.repairs = state["repairs"]
+        losses = [o for _, o in self.lessons if isinstance(o, PaperLoss)]
+        for objective, repairs in zip(losses, state["repairs"], strict=True):
+            objective.repairs = repairs
         self.step, self.last = state["step"], state["last"]
 
 
 def train(
     domain: Domain,
     skeletons: Skeletons,
-    spec: NeuralField,
+    spec: NeuralField | DistilledField,
     seed: int,
     device: str,
     checkpoint: Path | None,
     progress: Progress,
 ) -> Field:
-    """Train the paper's network on two skeletons.
+    """Train the paper's network on two skeletons; the distilled method teaches it the phase field first.
 
     Parameters
     ----------
@@ -295,17 +215,33 @@ def train(
     if where.type == "cuda":
         torch.set_float32_matmul_precision("high")
     lattice = Lattice.of(domain, skeletons, _SAMPLING_RESOLUTION)
-    training = Training(spec, Samples.of(lattice, skeletons, where), seed, where)
+    paper = PaperLoss(spec, Samples.of(lattice, skeletons, where))
+    lessons: list[tuple[int, Objective]] = [(spec.steps, paper)]
+    begun = 0.0
+    if isinstance(spec, DistilledField):
+        begun = _TEACHER_SHARE
+        teacher = solve_phase_field(domain, skeletons, spec.resolution, spec.minimality, Part(progress, 0.0, begun))
+        gap = typical_gap(domain, skeletons)
+        lessons.insert(0, (spec.teaching_steps, Imitation(teacher, lattice, gap, spec.points, where)))
+    training = Training(spec, lessons, seed, where)
     if checkpoint is not None:
         training.resume(checkpoint)
+    _run(training, paper, lattice, checkpoint, Part(progress, begun, 1.0))
+    name = torch.cuda.get_device_name(where) if where.type == "cuda" else where.type
+    return Field(training.model.network(), spec.method, training.history(), name)
+
+
+def _run(training: Training, paper: PaperLoss, lattice: Lattice, checkpoint: Path | None, progress: Progress) -> None:
+    """The loop: steps, looks at the loss, searches for pockets, checkpoints."""
+    connect = training.spec.connect
+    looks = {round(share * training.planned) for share in _REPAIRS} if connect else set()
     saved = time.monotonic()
-    looks = {round(share * spec.steps) for share in _REPAIRS} if spec.connect else set()
-    most = spec.steps + _EXTRA_ROUNDS * _EXTRA_STEPS
     while training.step < training.last:
         training.advance()
         if training.step in looks:
-            training.repair(lattice)
-        if spec.connect and training.step == training.last and training.last < most and training.repair(lattice):
+            paper.repair(lattice, training.model)
+        ended = training.step == training.last
+        if connect and ended and training.last < training.most and paper.repair(lattice, training.model):
             training.last += _EXTRA_STEPS
         if training.step % _LOOK_EVERY == 0 or training.step == training.last:
             losses = training.history().rows[-1]
@@ -315,11 +251,19 @@ def train(
                     advice="Lower field.learning_rate.",
                     measured={"step": training.step},
                 )
-            progress.report(
-                "field", min(1.0, training.step / spec.steps), f"step {training.step}, loss {losses[1]:.4g}"
-            )
+            fraction = min(1.0, training.step / training.planned)
+            progress.report("field", fraction, f"step {training.step}, loss {losses[1]:.4g}")
         if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS:
             training.save(checkpoint)
             saved = time.monotonic()
-    name = torch.cuda.get_device_name(where) if where.type == "cuda" else where.type
-    return Field(training.model.network(), spec.method, training.history(), name)
+
+
+class Part:
+    """A part of another's progress."""
+
+    def __init__(self, whole: Progress, begin: float, end: float) -> None:
+        self._whole, self._begin, self._end = whole, begin, end
+
+    def report(self, stage: str, fraction: float, note: str = "") -> None:
+        """Report a fraction of the part."""
+        self._whole.report(stage, self._begin + (self._end - self._begin) * fraction, note)

@@ -11,9 +11,11 @@ from dualms.field import topology, training
 from dualms.field.field import Field
 from dualms.field.lattice import Lattice
 from dualms.field.losses import skeleton_loss, smoothness_exact, smoothness_secants
+from dualms.field.objectives import stray_voxels
+from dualms.field.phase_field import solve_phase_field
 from dualms.field.solve import solve_field
 from dualms.progress import Silent
-from dualms.spec import NeuralField
+from dualms.spec import DistilledField, NeuralField
 
 SMALL = NeuralField(
     method="neural",
@@ -140,9 +142,9 @@ def test_stray_pockets_are_found_and_taught(unit_box: Domain, parallel_lines: Si
     lattice = Lattice.of(unit_box, parallel_lines, 32)
     x, y, z = (lattice.grid.points(lattice.inside) - 0.5).T
     values = np.where(x < 0, 1.0, -1.0).astype(np.float32)
-    assert not training.stray_voxels(lattice, values)[0].any()
+    assert not stray_voxels(lattice, values)[0].any()
     values[np.hypot(x - 0.3, y - 0.4) ** 2 + z**2 < 0.05**2] = 1
-    wrong, wanted = training.stray_voxels(lattice, values)
+    wrong, wanted = stray_voxels(lattice, values)
     assert 5 < wrong.sum() < 40
     assert not wanted[wrong].any()
     assert topology.component_counts(wanted, lattice.inside) == (1, 1)
@@ -153,3 +155,25 @@ def test_presets_fill_only_what_is_left_open() -> None:
     assert NeuralField(method="neural", preset="released").hidden_layers == 4
     cpu = NeuralField(method="neural", preset="cpu", steps=7)
     assert (cpu.steps, cpu.gradient, cpu.skeleton_weight) == (7, "secants", 5000)
+
+
+def test_distilled_network_takes_over_the_phase_field(unit_box: Domain, schwarz_p: SimpleNamespace) -> None:
+    spec = DistilledField(
+        method="distilled",
+        resolution=24,
+        features=128,
+        width=32,
+        fourier_scale=1.0,
+        points=512,
+        teaching_steps=250,
+        steps=5,
+        decay_every=40,
+        learning_rate=1e-2,
+    )
+    field = solve_field(unit_box, schwarz_p, spec, 0, "cpu", None, Silent())
+    teacher = solve_phase_field(unit_box, schwarz_p, 24, spec.minimality, Silent())
+    grid = unit_box.grid(32, padding=0)
+    taught, solved = field.on(grid), teacher.on(grid)
+    clear = np.abs(solved) > 0.03
+    assert ((taught > 0) == (solved > 0))[clear].mean() > 0.99
+    assert field.method == "distilled"
