@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dualms.study.figures import HYDRAULIC, Objectives
-from dualms.study.table import Row, Table
+from dualms.study.figures import HYDRAULIC
+from dualms.study.table import Row, Table, table_of
 
 SIZE = (9.0, 6.0)  # inches
 MARKERS = "osD^vP*Xh<>"
@@ -54,18 +54,6 @@ def study_picture(table: Table) -> bytes:
     png = io.BytesIO()
     figure.savefig(png, format="png", dpi=130)
     return png.getvalue()
-
-
-def table_of(document: dict[str, Any]) -> Table:
-    """The table that ``Table.to_json`` wrote."""
-    rows = tuple(Row(**{**row, "error": tuple(row["error"]) if row["error"] else None}) for row in document["rows"])
-    return Table(
-        title=document["title"],
-        axes=tuple(document["axes"]),
-        metrics=tuple(document["metrics"]),
-        objectives=Objectives(**document["objectives"]),
-        rows=rows,
-    )
 
 
 def _scatter(axes: Axes, table: Table, drawn: list[tuple[Row, tuple[float, float]]]) -> None:

@@ -117,6 +117,18 @@ def make_table(
     return replace(table, rows=tuple(replace(row, front=front.get(i, False)) for i, row in enumerate(rows)))
 
 
+def table_of(document: dict[str, Any]) -> Table:
+    """The table that ``Table.to_json`` wrote."""
+    rows = tuple(Row(**{**row, "error": tuple(row["error"]) if row["error"] else None}) for row in document["rows"])
+    return Table(
+        title=document["title"],
+        axes=tuple(document["axes"]),
+        metrics=tuple(document["metrics"]),
+        objectives=Objectives(**document["objectives"]),
+        rows=rows,
+    )
+
+
 def _cell(value: Any) -> str:
     if value is None:
         return ""
