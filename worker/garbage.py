@@ -48,11 +48,12 @@ def _old_designs(records: Records) -> int:
 
 
 def _old_results(records: Records) -> int:
-    s, k = tables.StepResult, tables.IdempotencyKey
+    s, k, v = tables.StepResult, tables.IdempotencyKey, tables.Delivery
     with records.database.write() as session:
         old = session.scalars(select(s.key).where(s.used_at < Now() - records.settings.cache_days * 86400)).all()
         session.execute(delete(tables.StepFile).where(tables.StepFile.key.in_(old)))
         session.execute(delete(s).where(s.key.in_(old)))
+        session.execute(delete(v).where(v.done_at < Now() - records.settings.cache_days * 86400))
         session.execute(delete(k).where(k.created_at < Now() - records.settings.idempotency_days * 86400))
     return len(old)
 

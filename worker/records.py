@@ -19,6 +19,7 @@ from dualms.steps import steps_of
 from worker import tables, views
 from worker.database import Database, Now
 from worker.migrations import migrate
+from worker.outbox import record_ending
 from worker.routing import queue_of
 from worker.settings import Settings
 from worker.views import (
@@ -442,6 +443,7 @@ def end(
     if not change(session, design_id, status, data, *conditions, attempt=tables.Design.attempt + 1, **values):
         return False
     session.execute(delete(tables.Event).where(tables.Event.design_id == design_id, tables.Event.kind == "progress"))
+    record_ending(session, design_id, status)
     return True
 
 

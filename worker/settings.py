@@ -42,6 +42,8 @@ class Settings(BaseSettings):
     worker_gone_s: float = Field(30.0, gt=0, description="A worker silent for so long counts as gone.")
     max_tries: int = Field(3, ge=1, le=100, description="Starts of one step that end with its process lost.")
 
+    webhook_private: bool = Field(False, description="Send webhooks to addresses that are not public, too.")
+
     collect_s: float = Field(600.0, gt=0, description="Between two collections of garbage.")
     blob_grace_s: float = Field(3600.0, ge=0, description="Bytes younger than this are never collected.")
     cache_days: float = Field(30.0, ge=0, description="Step results unused for so long are forgotten.")

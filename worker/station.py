@@ -32,9 +32,11 @@ from worker.records import Records, new_id
 from worker.scratch import sweep
 from worker.settings import Settings
 from worker.tasks import Station, register
+from worker.webhooks import Deliverer
 
 HEARTBEAT_S = 5.0
 DEAF_S = 30.0
+WEBHOOK_S = 1.0
 log = logging.getLogger(__name__)
 
 
@@ -70,6 +72,7 @@ def main() -> None:
     every(HEARTBEAT_S, registration.beat, ended, "heartbeat")
     every(settings.reap_s, reaper.run_once, ended, "reaper")
     every(settings.reap_s, lambda: _start_again_if_deaf(station), ended, "ears")
+    every(WEBHOOK_S, Deliverer(records.database, settings).run_once, ended, "webhooks")
     every(settings.collect_s, lambda: collect(records, store), ended, "collector")
     log.info("serving queue %s as worker %s", queue, registration.id)
     worker = app.Worker(

@@ -180,3 +180,58 @@ class IdempotencyKey(Base):
     request_sha256: Mapped[str] = mapped_column(String(64))
     design_id: Mapped[str] = mapped_column(String(32), index=True)  # or the study's
     created_at: Mapped[float] = mapped_column(index=True)
+
+
+class ApiKey(Base):
+    """A key that a client shows; only its hash is kept."""
+
+    __tablename__ = "api_keys"
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    owner: Mapped[str] = mapped_column(String(64), index=True)
+    name: Mapped[str] = mapped_column(Text)
+    scopes: Mapped[list[str]]
+    max_live_designs: Mapped[int | None]
+    max_stored_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    max_uploads_a_day: Mapped[int | None]
+    created_at: Mapped[float]
+    expires_at: Mapped[float | None]
+    revoked_at: Mapped[float | None]
+    last_used_at: Mapped[float | None]
+
+
+class AuditEntry(Base):
+    """Who did what to what; append-only."""
+
+    __tablename__ = "audit"
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    at: Mapped[float] = mapped_column(index=True)
+    owner: Mapped[str | None] = mapped_column(String(64), index=True)
+    key_id: Mapped[str | None] = mapped_column(String(16))
+    action: Mapped[str] = mapped_column(String(64))
+    subject: Mapped[str] = mapped_column(String(128))
+    detail: Mapped[Json]
+
+
+class Delivery(Base):
+    """A webhook message to be delivered; written in the transaction that ends the design."""
+
+    __tablename__ = "deliveries"
+    __table_args__ = (Index("ix_deliveries_due", "done_at", "next_at"),)
+    id: Mapped[str] = mapped_column(String(40), primary_key=True)
+    design_id: Mapped[str] = mapped_column(String(32), index=True)
+    url: Mapped[str] = mapped_column(Text)
+    body: Mapped[str] = mapped_column(Text)
+    tries: Mapped[int]
+    next_at: Mapped[float]
+    done_at: Mapped[float | None]  # delivered or given up
+    error: Mapped[str | None] = mapped_column(Text)  # why the last try failed
+
+
+class Secret(Base):
+    """A secret that all machines of the cluster share, made at its first use."""
+
+    __tablename__ = "secrets"
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    value: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[float]
