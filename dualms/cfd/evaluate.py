@@ -68,7 +68,7 @@ def evaluate(
         Receives the solver's cases and logs: the design's ``hot`` and ``cold`` under ``design`` stay if
         ``spec.keep_case``; all others are removed.
     picture
-        PNG file for streamlines and wall pressures; none if not given or if the design could not be solved.
+        PNG file for streamlines and wall pressures, or for the reason why there are none.
 
     Returns
     -------
@@ -96,10 +96,8 @@ def evaluate(
     except DualMSError as error:
         problem = _problem(error)
     figures = solved.figures if solved is not None else None
-    if solved is not None and picture is not None:
-        from dualms.cfd.pictures import flow_picture
-
-        flow_picture(solved, picture)
+    if picture is not None:
+        _draw(solved, problem, picture)
     baselines: list[BaselineFigures] = []
     comparisons: list[Comparison] = []
     for kind in spec.baselines:
@@ -121,6 +119,16 @@ def evaluate(
         seconds=time.monotonic() - began,
         peak_memory_bytes=max(used) * 1024,
     )
+
+
+def _draw(solved: SolvedExchanger | None, problem: Problem | None, picture: Path) -> None:
+    # Imported here: the renderer is heavy, and an evaluation without a picture does not need it.
+    from dualms.cfd.pictures import flow_picture, problem_picture
+
+    if solved is not None:
+        flow_picture(solved, picture)
+    elif problem is not None:
+        problem_picture(problem.message, picture)
 
 
 class _Runner:

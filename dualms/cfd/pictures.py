@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,15 @@ def flow_picture(solved: SolvedExchanger, path: Path) -> None:
         f"Quick evaluation, for ranking: duty {figures.duty_w:.4g} W, UA {figures.ua_w_k:.4g} W/K, "
         f"pumping {figures.pumping_power_w:.3g} W"
     )
+    figure.savefig(path, dpi=110)
+
+
+def problem_picture(message: str, path: Path) -> None:
+    """Write ``evaluation.png`` where there is no flow to show: the reason."""
+    figure = Figure(figsize=(10, 3), layout="constrained")
+    FigureCanvasAgg(figure)
+    text = "The flow could not be solved.\n\n" + "\n".join(textwrap.wrap(message, 90))
+    figure.text(0.5, 0.5, text, ha="center", va="center")
     figure.savefig(path, dpi=110)
 
 

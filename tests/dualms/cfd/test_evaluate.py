@@ -101,7 +101,9 @@ def test_a_blocked_design_is_a_stated_problem(foam, tmp_path) -> None:
     domain, fluids = box_design(BOX, True)
     grid = domain.grid(40, 4)
     across = (0.5 - grid.points()[:, 0]).reshape(grid.shape)
-    found = evaluate(domain, across, grid, WALL, fluids, QUICK, Silent(), tmp_path / "work")
+    picture = tmp_path / "evaluation.png"
+    found = evaluate(domain, across, grid, WALL, fluids, QUICK, Silent(), tmp_path / "work", 0.0, picture)
+    assert picture.stat().st_size > 1000
     assert found.design is None
     assert found.problem is not None
     assert found.problem.code == "channel-blocked"
