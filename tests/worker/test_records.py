@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy import text
 
 from tests.worker.conftest import small_spec
+from worker import migrations
+from worker.database import Database
+from worker.leases import Leases
 from worker.migrations import NewerDatabase
-from worker.records import DesignRecord, DomainRecord, IdempotencyConflict, NewDesign, Records
+from worker.records import DesignRecord, DomainRecord, IdempotencyConflict, NewDesign, Records, new_id
 from worker.settings import Settings
 from worker.tables import Base
 
@@ -114,4 +121,46 @@ def test_processes_write_at_once_without_locking_each_other_out(tmp_path: Path) 
         writer.join(60)
     assert [writer.exitcode for writer in writers] == [0, 0]
     assert records.counts() == {"queued": 50}
+    records.close()
+
+
+def test_records_of_the_first_version_open_with_the_newest(tmp_path: Path) -> None:
+    path = tmp_path / "dualms.sqlite3"
+    database = Database(f"sqlite:///{path}")
+    config = Config()
+    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
+    with database.engine.connect() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+    database.close()
+    spec = json.dumps(small_spec().model_dump(mode="json"))
+    with sqlite3.connect(path) as old:
+        old.execute("INSERT INTO domains VALUES (?, ?, 1, 'x', '.stl', 'mm', '{}', NULL, 1.0)", ("0" * 64, "0" * 64))
+        columns = "id, domain_id, spec, labels, priority, status, step, queue, progress, note, attempt, tries, "
+        columns += "created_at, timings, metrics, hints, version"
+        values = (
+            new_id(),
+            "0" * 64,
+            spec,
+            "[]",
+            0,
+            "queued",
+            "prepare",
+            "cpu",
+            0.0,
+            "",
+            0,
+            0,
+            1.0,
+            "{}",
+            "{}",
+            "{}",
+            1,
+        )
+        old.execute(f"INSERT INTO designs ({columns}) VALUES ({', '.join('?' * len(values))})", values)
+    old.close()
+    records = Records.open(Settings(data_dir=tmp_path))
+    (found,) = records.designs().items
+    assert (found.id, found.status) == (values[0], "queued")
+    assert Leases(records).claim("cpu", "w") is not None
     records.close()
