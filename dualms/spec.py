@@ -176,6 +176,9 @@ class GraphSpec(Model):
     stretch: float = Field(
         3.0, ge=1, le=5, description="Length of a cell along the flow over its width. Paper: 1; 'aligned' (ours): 3."
     )
+    port_density: float = Field(
+        1.0, ge=1, le=20, description="Sites per volume at the ports over that far from them. Ours; the paper's: 1."
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -198,6 +201,9 @@ class PartitionSpec(Model):
         ge=0,
         le=0.2,
         description="Share of the cut weight that 'anneal' may give up for channels that resist the flow less. Ours.",
+    )
+    hot_share: float | None = Field(
+        None, ge=0.15, le=0.85, description="Share of the sites that the hot fluid gets, within 0.02; null: free. Ours."
     )
 
 

@@ -21,6 +21,7 @@ from dualms.spec import PartitionSpec
 PROPOSALS_PER_SECOND = 20_000_000  # about one core of a laptop; a fixed figure, so that a seed means the same anywhere
 PROPOSALS_PER_SITE = 4000  # of one run: more gains under 0.5 % of the cut at 300 and 800 sites
 MOST_RUNS = 16
+SHARE_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def max_cut(graph: Graph, spec: PartitionSpec, seed: int, *, progress: Progress 
         If no partition was found that keeps the constraints.
     """
     progress = progress or Silent()
-    problem = problem_of(graph)
+    problem = problem_of(graph, _least_sizes(len(graph.sites), spec.hot_share))
     labels = first_partition(graph, problem, seed)
     before = cut_weight(graph, labels)
     climbed, gains = greedy(problem, labels)
@@ -108,6 +109,14 @@ def max_cut(graph: Graph, spec: PartitionSpec, seed: int, *, progress: Progress 
     progress.report("partition", 1.0, f"cut {weight:.6g}, at most {bound:.6g}")
     hot, cold = (network_resistance(graph, climbed, fluid) for fluid in (1, -1))
     return Partition(climbed, weight, total, bound, iterations, history, spec.method, hot, cold)
+
+
+def _least_sizes(count: int, hot_share: float | None) -> tuple[int, int]:
+    """Sites that the cold and the hot side must keep."""
+    if hot_share is None:
+        return 3, 3
+    cold, hot = (max(3, int(np.ceil((share - SHARE_TOLERANCE) * count))) for share in (1 - hot_share, hot_share))
+    return cold, hot
 
 
 def _easiest(graph: Graph, found: list[tuple[Labels, Array]], slack: float) -> tuple[Labels, Array]:

@@ -6,6 +6,7 @@ Paper, Algorithm 1, lines 3-4 (which leaves open how); dead ends of the first sp
 from __future__ import annotations
 
 import heapq
+from collections import deque
 from collections.abc import Iterator
 
 import numba
@@ -79,7 +80,8 @@ def _candidates(graph: Graph, problem: Problem, seed: int) -> Iterator[Labels]:
     if not (graph.pins != 0).any():
         extents = np.ptp(graph.sites, axis=0)
         for axis in np.argsort(extents, kind="stable"):
-            labels = np.where(graph.sites[:, axis] > np.median(graph.sites[:, axis]), 1, -1).astype(np.int8)
+            level = np.quantile(graph.sites[:, axis], _cold_share(problem))
+            labels = np.where(graph.sites[:, axis] > level, 1, -1).astype(np.int8)
             if _connected(problem, labels):
                 yield labels
     generator = np.random.default_rng(seed)
@@ -181,18 +183,27 @@ def _path(
     return None
 
 
+def _cold_share(problem: Problem) -> float:
+    """Middle of the shares of the sites that the cold side may have."""
+    cold, hot = problem.least_size / len(problem.pinned)
+    return float((cold + 1 - hot) / 2)
+
+
 def _grown(problem: Problem, trees: NDArray[np.int8]) -> Labels:
-    """Give every other site to the tree that reaches it in fewer steps."""
+    """Let both trees take neighbours in turn, the one that is farther from its share first, until no site is left."""
     labels = trees.copy()
-    front = np.flatnonzero(labels).tolist()
-    while front:
-        following = []
-        for v in front:
-            for u in problem.neighbour[problem.start[v] : problem.start[v + 1]].tolist():
-                if labels[u] == 0:
-                    labels[u] = labels[v]
-                    following.append(u)
-        front = following
+    share = {-1: _cold_share(problem), 1: 1 - _cold_share(problem)}
+    fronts = {side: deque(np.flatnonzero(labels == side).tolist()) for side in (-1, 1)}
+    size = {side: len(front) for side, front in fronts.items()}
+    while fronts[-1] or fronts[1]:
+        open_sides = [side for side in (-1, 1) if fronts[side]]
+        side = min(open_sides, key=lambda s: size[s] / share[s])
+        v = fronts[side].popleft()
+        for u in problem.neighbour[problem.start[v] : problem.start[v + 1]].tolist():
+            if labels[u] == 0:
+                labels[u] = side
+                size[side] += 1
+                fronts[side].append(u)
     return labels
 
 

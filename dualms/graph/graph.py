@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from dualms.domain import Domain, Mask
 from dualms.errors import DisconnectedDomain, InfeasiblePartition
 from dualms.flow import FlowField
 from dualms.graph.edges import Cells, Edges, cell_adjacency, connected_cells, inside_edges, sites_in_cells
 from dualms.graph.sites import lloyd, stretched_metric
-from dualms.grid import Array, Grid
+from dualms.grid import Array, Grid, thinned
 from dualms.progress import Progress, Silent
 from dualms.spec import GraphSpec
 
@@ -121,7 +122,8 @@ def site_graph(
     if flow is not None and spec.stretch > 1:
         metric, spread = stretched_metric(flow.lines(points), flow.strength(points), spec.stretch)
     progress.report("graph", 0.1, f"{len(points)} voxels")
-    tessellation = lloyd(points, spec.sites, seed, metric=metric, spread=spread, progress=progress)
+    density = None if spec.port_density == 1 else _density(domain, points, spec)
+    tessellation = lloyd(points, spec.sites, seed, metric=metric, spread=spread, density=density, progress=progress)
     cells = connected_cells(inside, tessellation.cells, spec.sites)
     sites = sites_in_cells(grid, cells, tessellation.sites)
     edges, faces = cell_adjacency(cells)
@@ -157,6 +159,15 @@ def alignment(sites: Array, edges: Edges, flow: FlowField) -> Array:
     lines = np.linalg.eigh(mean)[1][:, :, 2]
     direction = (b - a) / np.linalg.norm(b - a, axis=1)[:, None]
     return np.asarray(np.einsum("ek,ek->e", lines, direction) ** 2)
+
+
+def _density(domain: Domain, points: Array, spec: GraphSpec) -> Array:
+    """(P,) mass of each voxel that makes sites ``port_density`` times as dense at the ports, fading over two cells."""
+    samples = np.concatenate([thinned(port.samples, 0.01) for port in domain.ports])
+    distance = cKDTree(samples).query(points)[0]
+    reach = 2 * (domain.volume / spec.sites) ** (1 / 3)
+    wanted = 1 + (spec.port_density - 1) * np.exp(-((distance / reach) ** 2))
+    return np.asarray(wanted ** (5 / 3))  # the density of a tessellation's sites tends to mass^(3/5)
 
 
 def _refuse_parts(edges: Edges, count: int) -> None:

@@ -125,3 +125,13 @@ def test_ports_that_wall_each_other_off_are_refused() -> None:
     with pytest.raises(InfeasiblePartition) as caught:
         max_cut(graph, QUICK, 0)
     assert caught.value.advice
+
+
+@pytest.mark.parametrize("ports", ["none", "dedicated", "shared"])
+@pytest.mark.parametrize("share", [0.35, 0.6])
+def test_the_hot_fluid_gets_its_share(ports: str, share: float) -> None:
+    graph = delaunay_graph(150, 11, ports=ports)
+    for method in ("greedy", "anneal"):
+        found = max_cut(graph, PartitionSpec(method=method, seconds=0.02, hot_share=share), 0)
+        assert abs((found.labels == 1).mean() - share) <= 0.02 + 1 / 150
+        assert not violations(graph, found.labels)

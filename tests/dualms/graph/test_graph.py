@@ -75,3 +75,12 @@ def test_graph_refuses_edges_named_twice() -> None:
     edges = np.array([[0, 1], [0, 1]])
     with pytest.raises(ValueError, match="named once"):
         bare_graph(np.zeros((2, 3)), edges, np.ones(2), np.zeros(2, dtype=np.int8))
+
+
+def test_port_density_draws_sites_to_the_ports() -> None:
+    domain = domain_of(box_mesh(), shared_ends())
+    even, dense = (
+        site_graph(domain, None, GraphSpec(sites=120, port_density=factor), 0).sites[:, 0] for factor in (1.0, 4.0)
+    )
+    near_even, near_dense = (((x < 0.2) | (x > 0.8)).mean() for x in (even, dense))
+    assert near_dense > 1.3 * near_even
