@@ -14,6 +14,7 @@ from dualms.domain import Domain
 from dualms.field.field import load_field, save_field
 from dualms.field.solve import solve_field
 from dualms.flow import flow_field
+from dualms.flow_picture import flow_picture
 from dualms.graph.graph import Graph, site_graph
 from dualms.measure.report import make_report
 from dualms.ports import resolve_ports
@@ -65,6 +66,8 @@ def prepare(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> 
     sampled = watch.run("skeletons", lambda: skeletons(domain, graph, partition))
     save(Prepared(domain, graph, partition, sampled, units.value), folder / "prepared.safetensors")
     write_json(folder / "skeletons.json", domain, graph, partition)
+    if flow is not None:
+        flow_picture(domain, flow, folder / "flow.png")
     watch.save(folder, "prepare")
 
 

@@ -50,7 +50,7 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
     "evaluate": ("evaluation.json", "report.json", "report.html"),
 }
 OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {
-    "prepare": (),
+    "prepare": ("flow.png",),
     "solve": (),
     "build": (),
     "evaluate": ("evaluation.png", "case.zip"),
