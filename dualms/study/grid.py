@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import json
 import re
@@ -146,10 +145,10 @@ def _check(base: Mapping[str, Any], grid: Mapping[str, Sequence[Any]]) -> None:
 
 
 def _point(base: Mapping[str, Any], values: dict[str, Any]) -> Point:
-    document = copy.deepcopy(dict(base))
+    document = json.loads(json.dumps(base))  # unlike a deep copy, this parts objects that stand in two places
     for path, value in values.items():
         try:
-            set_path(document, path, copy.deepcopy(value))
+            set_path(document, path, json.loads(json.dumps(value)))
         except KeyError as error:
             reason = f"the specification has no '{error.args[0]}' there"
             raise InvalidPoint(values, [(f"grid.{path}", reason)]) from None

@@ -39,7 +39,7 @@ def study_picture(table: Table) -> bytes:
     axes = figure.add_subplot()
     drawn = [(row, place) for row in table.rows if (place := table.place(row)) is not None]
     if drawn:
-        _scatter(axes, table, drawn)
+        _scatter(figure, axes, table, drawn)
     else:
         axes.text(0.5, 0.5, "no figures yet", ha="center", va="center", transform=axes.transAxes, color="0.5")
         axes.set_xticks([])
@@ -56,7 +56,7 @@ def study_picture(table: Table) -> bytes:
     return png.getvalue()
 
 
-def _scatter(axes: Axes, table: Table, drawn: list[tuple[Row, tuple[float, float]]]) -> None:
+def _scatter(figure: Figure, axes: Axes, table: Table, drawn: list[tuple[Row, tuple[float, float]]]) -> None:
     varied = [path for path in table.axes if len({json.dumps(row.values[path]) for row in table.rows}) > 1]
     hues = _levels(table, varied[0]) if varied else []
     shapes = _levels(table, varied[1]) if len(varied) > 1 else []
@@ -71,7 +71,7 @@ def _scatter(axes: Axes, table: Table, drawn: list[tuple[Row, tuple[float, float
     for number, row in enumerate(table.rows, 1):
         if row.front and (place := table.place(row)) is not None:
             axes.annotate(str(number), place, xytext=(7, 5), textcoords="offset points", fontsize=8)
-    _legend(axes, varied, hues, shapes, palette)
+    _legend(figure, axes, varied, hues, shapes, palette)
     for axis, scale in ((0, axes.set_xscale), (1, axes.set_yscale)):
         numbers = [place[axis] for _, place in drawn]
         if min(numbers) > 0 and max(numbers) > LOG_ABOVE * min(numbers):
@@ -83,7 +83,7 @@ def _levels(table: Table, path: str) -> list[str]:
     return list(dict.fromkeys(json.dumps(row.values[path]) for row in table.rows))
 
 
-def _legend(axes: Axes, varied: list[str], hues: list[str], shapes: list[str], palette: Any) -> None:
+def _legend(figure: Figure, axes: Axes, varied: list[str], hues: list[str], shapes: list[str], palette: Any) -> None:
     most = 10
     for k, level in enumerate(hues[:most]):
         axes.plot([], [], "o", color=palette(k), label=f"{varied[0]} = {level[:24]}")
@@ -91,7 +91,7 @@ def _legend(axes: Axes, varied: list[str], hues: list[str], shapes: list[str], p
         axes.plot([], [], " ", label=f"… {len(hues) - most} more")
     for k, level in enumerate(shapes[:most]):
         axes.plot([], [], MARKERS[k % len(MARKERS)], color="0.5", label=f"{varied[1]} = {level[:24]}")
-    for text in axes.legend(fontsize=8, framealpha=0.9).get_texts():
+    for text in figure.legend(loc="outside right upper", fontsize=8).get_texts():
         text.set_parse_math(False)
 
 
