@@ -60,7 +60,7 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
     )
     app.state.registry = registry
     problems.install(app)
-    for router in (domains, designs, artifacts, studies, system.router):
+    for router in (designs, artifacts, domains, studies, system.router):
         app.include_router(router)
     describe(app)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)

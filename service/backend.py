@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+import sqlite3
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 from fastapi import Depends, Request
 from sqlalchemy import select
 
+from service.batches import Batches, Busy
 from service.problems import Problem
 from service.settings import Settings
 from service.watch import Watch
@@ -19,6 +21,27 @@ from worker.artifacts import ArtifactStore, open_store
 from worker.queue import Wakeups
 from worker.records import DesignRecord, DomainRecord, Records
 from worker.settings import Settings as WorkerSettings
+from worker.views import Status
+
+
+class Bodies:
+    """The JSON of designs as it was last sent, by version; what is asked for again and again is made once."""
+
+    def __init__(self, most: int = 2048) -> None:
+        self._most = most
+        self._bodies: dict[str, tuple[int, bytes]] = {}
+
+    def get(self, design_id: str, version: int) -> bytes | None:
+        """The body, if it is of this version."""
+        kept = self._bodies.get(design_id)
+        return kept[1] if kept is not None and kept[0] == version else None
+
+    def keep(self, design_id: str, version: int, body: bytes) -> None:
+        """Keep a body; the oldest goes where there are too many."""
+        self._bodies.pop(design_id, None)
+        while len(self._bodies) >= self._most:
+            self._bodies.pop(next(iter(self._bodies)), None)
+        self._bodies[design_id] = (version, body)
 
 
 @dataclass(frozen=True)
@@ -31,6 +54,8 @@ class Backend:
     store: ArtifactStore
     wakeups: Wakeups
     watch: Watch
+    looks: Batches[tuple[int, Status]]
+    bodies: Bodies
 
     def domain(self, domain_id: str) -> DomainRecord:
         """The domain.
@@ -74,22 +99,49 @@ async def open_backend(settings: Settings, worker_settings: WorkerSettings) -> A
     """Connections for the life of the app."""
     records = Records.open(worker_settings)
     try:
-        async with Watch(lambda ids: versions(records, ids), settings.watch_s) as watch:
+        async with Watch(lambda ids: {k: v for k, (v, _) in states(records, ids).items()}, settings.watch_s) as watch:
             store, wakeups = open_store(worker_settings), Wakeups(worker_settings)
-            yield Backend(settings, worker_settings, records, store, wakeups, watch)
+            with quick_state(records) as quick:
+                looks: Batches[tuple[int, Status]] = Batches(lambda ids: states(records, ids), quick)
+                yield Backend(settings, worker_settings, records, store, wakeups, watch, looks, Bodies())
     finally:
         records.close()
 
 
-def versions(records: Records, ids: Sequence[str]) -> Mapping[str, int]:
-    """Versions of many designs in one look; ids that are gone are missing."""
-    found: dict[str, int] = {}
-    d = tables.Design
-    with records.database.read() as session:
+def states(records: Records, ids: Sequence[str]) -> dict[str, tuple[int, Status]]:
+    """Versions and statuses of many designs in one look; ids that are gone are missing."""
+    found: dict[str, tuple[int, Status]] = {}
+    d = tables.Design.__table__.c
+    with records.database.engine.connect() as connection:
         for start in range(0, len(ids), 500):
-            query = select(d.id, d.version).where(d.id.in_(ids[start : start + 500]))
-            found.update((row[0], row[1]) for row in session.execute(query))
+            query = select(d.id, d.version, d.status).where(d.id.in_(ids[start : start + 500]))
+            found.update((row[0], (row[1], row[2])) for row in connection.execute(query))
     return found
+
+
+@contextmanager
+def quick_state(records: Records) -> Iterator[Callable[[str], tuple[int, Status] | None] | None]:
+    """A look at one design that takes some microseconds and never waits; None where the records are not in SQLite.
+
+    Raises ``Busy`` where it would have to wait.
+    """
+    if records.database.engine.dialect.name != "sqlite":
+        yield None
+        return
+    connection: Any = records.database.engine.raw_connection()
+    connection.execute("PRAGMA busy_timeout=0")
+
+    def look(design_id: str) -> tuple[int, Status] | None:
+        try:
+            row = connection.execute("SELECT version, status FROM designs WHERE id = ?", (design_id,)).fetchone()
+        except sqlite3.OperationalError as error:
+            raise Busy from error
+        return (row[0], row[1]) if row is not None else None
+
+    try:
+        yield look
+    finally:
+        connection.invalidate()
 
 
 @lru_cache(maxsize=4096)
@@ -98,8 +150,8 @@ def _domain_name(records: Records, domain_id: str) -> str:
     return row.name if row is not None else ""
 
 
-def backend_of(request: Request) -> Backend:
-    """The app's backend."""
+async def backend_of(request: Request) -> Backend:
+    """The app's backend; async, since FastAPI would call anything else in a thread."""
     return cast("Backend", request.app.state.backend)
 
 

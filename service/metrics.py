@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -39,8 +40,13 @@ class Meter:
         finally:
             route = getattr(scope.get("route"), "path", "none")
             method = scope["method"] if scope["method"] in _METHODS else "other"
-            self.requests.labels(route, method, str(status)).inc()
-            self.seconds.labels(route).observe(time.perf_counter() - began)
+            count, spread = self._of(route, method, status)
+            count.inc()
+            spread.observe(time.perf_counter() - began)
+
+    @lru_cache(maxsize=1024)  # noqa: B019 - one meter lives as long as its app
+    def _of(self, route: str, method: str, status: int) -> tuple[Counter, Histogram]:
+        return self.requests.labels(route, method, str(status)), self.seconds.labels(route)
 
 
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})

@@ -35,8 +35,19 @@ async def follow(backend: Backend, design_id: str, wait_s: float, seen: str | No
     """
     if wait_s > 0:
         row = await run_in_threadpool(backend.design, design_id)
-        await wait_for(backend, row, wait_s, lambda r: r.status in FINAL or (seen is not None and not _seen(seen, r)))
-    return await run_in_threadpool(_answer, backend, design_id, seen, wait_s)
+        await wait_for(
+            backend, row, wait_s, lambda r: r.status in FINAL or (seen is not None and not matches(seen, etag(r)))
+        )
+    state = await backend.looks.get(design_id)
+    if state is None:
+        raise design_not_found(design_id)
+    version, status = state
+    if matches(seen, f'"{version}"'):
+        return Response(None, 304, _headers(version, status, wait_s))
+    if (body := backend.bodies.get(design_id, version)) is not None:
+        return Response(body, 200, _headers(version, status, wait_s), "application/json")
+    row = await run_in_threadpool(backend.design, design_id)
+    return await run_in_threadpool(design_answer, backend, row, 200, wait_s)
 
 
 async def wait_for(backend: Backend, row: DesignRecord, wait_s: float, enough: Callable[[DesignRecord], bool]) -> None:
@@ -55,31 +66,15 @@ def design_answer(backend: Backend, row: DesignRecord, status: int = 200, waited
     """A design in full, with the headers that go with it."""
     artifacts = backend.records.artifacts(row.id)
     view = design_view(row, backend.domain_name(row.domain_id), artifacts, time.time())
-    headers = {**_headers(row, waited_s), "Content-Location": f"/v1/designs/{row.id}"}
-    return Response(view.model_dump_json(), status, headers, "application/json")
+    body = view.model_dump_json().encode()
+    backend.bodies.keep(row.id, row.version, body)
+    headers = {**_headers(row.version, row.status, waited_s), "Content-Location": f"/v1/designs/{row.id}"}
+    return Response(body, status, headers, "application/json")
 
 
-def _answer(backend: Backend, design_id: str, seen: str | None, waited_s: float) -> Response:
-    if (
-        seen is not None
-        and (known := backend.records.version(design_id)) is not None
-        and matches(seen, f'"{known[0]}"')
-    ):
-        pause = {} if known[1] in FINAL else {"Retry-After": "1"}
-        return Response(None, 304, {"ETag": f'"{known[0]}"', "Cache-Control": "no-cache", **pause})
-    row = backend.records.design(design_id)
-    if row is None:
-        raise design_not_found(design_id)
-    return design_answer(backend, row, waited_s=waited_s)
-
-
-def _seen(seen: str, row: DesignRecord) -> bool:
-    return matches(seen, etag(row))
-
-
-def _headers(row: DesignRecord, waited_s: float) -> dict[str, str]:
-    headers = {"ETag": etag(row), "Cache-Control": "no-cache"}
-    if (pause := retry_after_s(row)) is not None:
+def _headers(version: int, status: str, waited_s: float) -> dict[str, str]:
+    headers = {"ETag": f'"{version}"', "Cache-Control": "no-cache"}
+    if (pause := retry_after_s(status)) is not None:
         headers["Retry-After"] = str(pause)
     if waited_s > 0:
         headers["Preference-Applied"] = f"wait={int(waited_s)}"

@@ -28,11 +28,11 @@ def etag(row: DesignRecord) -> str:
     return f'"{row.version}"'
 
 
-def retry_after_s(row: DesignRecord) -> int | None:
+def retry_after_s(status: str) -> int | None:
     """When it is worth asking again; None if never."""
-    if row.status in FINAL:
+    if status in FINAL:
         return None
-    return 1 if row.status == "running" else 2
+    return 1 if status == "running" else 2
 
 
 def design_summary(row: DesignRecord, domain_name: str) -> DesignSummary:
