@@ -17,6 +17,7 @@ import trimesh
 
 from dualms.spec import Spec
 from tests.broker import Broker
+from tests.proxy import Proxy
 from worker.artifacts import open_store, put_file
 from worker.database import Database
 from worker.leases import FileRecord, Leases, StepRecord
@@ -102,10 +103,12 @@ def result_of(step: str) -> StepRecord:
 class Cluster:
     """A broker and a worker on one data folder, with a small domain uploaded."""
 
-    def __init__(self, folder: Path, **environment: str) -> None:
+    def __init__(self, folder: Path, *, behind_proxy: bool = False, **environment: str) -> None:
         self.broker = Broker()
         self.broker.start()
-        values = {"DUALMS_DATA_DIR": str(folder), "DUALMS_REDIS_URL": self.broker.url, "OMP_NUM_THREADS": "1"}
+        self.proxy = Proxy(self.broker.socket) if behind_proxy else None  # the worker's way to the broker
+        url = self.proxy.url if self.proxy is not None else self.broker.url
+        values = {"DUALMS_DATA_DIR": str(folder), "DUALMS_REDIS_URL": url, "OMP_NUM_THREADS": "1"}
         self.environment = {**os.environ, **values, **environment}
         self.settings = Settings(
             data_dir=folder,
@@ -174,6 +177,8 @@ class Cluster:
                 self.kill_worker()
         self._log.close()
         self.records.close()
+        if self.proxy is not None:
+            self.proxy.close()
         self.broker.close()
 
 

@@ -13,6 +13,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from benchmarks.fault_campaign import Plan, run
+from tests.proxy import Mode
 from tests.worker.conftest import Cluster, result_of, wait_for
 from worker.leases import Leases
 from worker.patience import patiently
@@ -91,6 +92,29 @@ def test_a_wiped_broker_loses_nothing(tmp_path: Path) -> None:
         cluster.start_worker()
         for design in made:
             wait_for(lambda d=design: cluster.design(d.id).status == "succeeded", 180)
+    finally:
+        cluster.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["hold", "cut"])
+def test_a_network_that_fails_between_worker_and_broker_loses_nothing(tmp_path: Path, mode: Mode) -> None:
+    cluster = Cluster(tmp_path, behind_proxy=True, DUALMS_REAP_S="2")
+    assert cluster.proxy is not None
+    try:
+        cluster.start_worker()
+        first = cluster.submit()
+        wait_for(cluster.steps)
+        cluster.proxy.set(mode)
+        second = cluster.submit(seed=1)  # the service still reaches the broker
+        wait_for(lambda: cluster.design(first.id).step != "prepare", 120)
+        time.sleep(5)
+        cluster.proxy.set("pass")
+        for design in (first, second):
+            wait_for(lambda d=design: cluster.design(d.id).status == "succeeded", 240)
+            events = cluster.records.events(design.id, limit=10_000)
+            done = [e.data["step"] for e in events if e.kind in ("step", "reused", "succeeded")]
+            assert done == ["prepare", "solve", "build"]
     finally:
         cluster.close()
 
