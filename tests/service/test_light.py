@@ -8,7 +8,7 @@ import sys
 import pytest
 
 
-@pytest.mark.parametrize("module", ["torch", "numba", "trimesh", "scipy", "alembic"])
+@pytest.mark.parametrize("module", ["torch", "numba", "trimesh", "scipy", "matplotlib", "alembic"])
 def test_importing_the_app_does_not_import(module: str) -> None:
     code = f"import sys, service.app; sys.exit({module!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

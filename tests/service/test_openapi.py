@@ -48,6 +48,11 @@ def test_the_promised_calls_are_there(api: dict[str, Any]) -> None:
         "POST /v1/designs/{design_id}/cancel",
         "DELETE /v1/designs/{design_id}",
         "GET /v1/designs/{design_id}/artifacts/{name}",
+        "POST /v1/studies",
+        "GET /v1/studies/{study_id}",
+        "POST /v1/studies/{study_id}/cancel",
+        "DELETE /v1/studies/{study_id}",
+        "GET /v1/studies/{study_id}/artifacts/{name}",
         "GET /healthz",
         "GET /readyz",
         "GET /metrics",
@@ -55,7 +60,19 @@ def test_the_promised_calls_are_there(api: dict[str, Any]) -> None:
 
 
 def test_answers_have_no_defaults_and_all_fields_are_required(api: dict[str, Any]) -> None:
-    for name in ("DomainOut", "FacetOut", "DesignOut", "DesignSummary", "ArtifactOut", "ErrorOut", "ProblemDocument"):
+    for name in (
+        "DomainOut",
+        "FacetOut",
+        "DesignOut",
+        "DesignSummary",
+        "ArtifactOut",
+        "ErrorOut",
+        "ProblemDocument",
+        "StudyOut",
+        "StudySummary",
+        "RowOut",
+        "CountsOut",
+    ):
         schema = api["components"]["schemas"][name]
         assert set(schema["required"]) == set(schema["properties"]), name
         assert not [k for k, p in schema["properties"].items() if "default" in p], name

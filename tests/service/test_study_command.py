@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dualms.study.grid import grid_points
+from service.studies.command import read_plan
+
 if TYPE_CHECKING:
     from conftest import Served
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 FILES = ["picture.png", "table.csv", "table.html", "table.json"]
 
 
@@ -64,3 +69,12 @@ def test_what_is_wrong_with_the_file_is_said_in_one_line(tmp_path: Path, box: Pa
     assert refused.returncode == 2
     assert "grid.wall.thikness" in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+def test_the_example_s_grid_fits_its_specification() -> None:
+    for path in (EXAMPLES / "studies").glob("*.json"):
+        place, plan = read_plan(path, json.loads(path.read_text()), None)
+        assert isinstance(place, Path)
+        assert place.exists()
+        points = grid_points(plan.spec, plan.grid)
+        assert len(points) == math.prod(map(len, plan.grid.values()))
