@@ -230,10 +230,10 @@ NEURAL_PRESETS: dict[str, dict[str, object]] = {
     "paper": {},
     "released": {"hidden_layers": 4},
     "cpu": {
-        "steps": 1000,
+        "steps": 500,
         "points": 2048,
         "learning_rate": 2e-3,
-        "decay_every": 50,
+        "decay_every": 25,
         "gradient": "secants",
         "connect": True,
     },

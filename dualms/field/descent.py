@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualms.field.willmore import Floats, Willmore
+
+Indices = NDArray[np.int64]
 
 MEMORY = 8
 _ARMIJO = 1e-4
@@ -19,13 +22,15 @@ _SHORTEST = 1e-3
 _FIRST_MOVE = 0.2
 """Largest change of u in the first step."""
 _RESCALE_EVERY = 5
+_RELEASE_EVERY = 25
+"""Steps after which values that were held may move again."""
 
 
 def descend(
     problem: Willmore,
     u: Floats,
     iterations: int,
-    project: Callable[[Floats], bool],
+    project: Callable[[Floats], Indices],
     each: Callable[[int, float], None],
 ) -> tuple[Floats, str]:
     """Lower the energy by limited-memory BFGS, preconditioned.
@@ -39,7 +44,8 @@ def descend(
     iterations
         At most so many steps.
     project
-        Brings a field back to what is allowed, in place; True if it changed it.
+        Brings a field back to what is allowed, in place, and gives the flat indices of what it changed; these values
+        are held for a while.
     each
         Called after every step with its number and energy.
 
@@ -54,12 +60,18 @@ def descend(
     energy, g = problem.energy(u)
     steps: list[tuple[Floats, Floats, float]] = []
     scale, volume = 1.0, problem.spacing**3
+    held = np.zeros(0, dtype=np.int64)
     for n in range(1, iterations + 1):
+        if n % _RELEASE_EVERY == 0:
+            held = held[:0]
+        g.ravel()[held] = 0
         direction = _direction(g, steps, scale, precondition)
+        direction.ravel()[held] = 0
         slope = _dot(g, direction)
         if slope >= 0:
             steps.clear()
             direction = -precondition(g)
+            direction.ravel()[held] = 0
             slope = _dot(g, direction)
         length = 1.0 if steps else min(1.0, _FIRST_MOVE / max(float(np.abs(direction).max()), 1e-30))
         while True:
@@ -70,8 +82,11 @@ def descend(
             length /= 2
             if length < _SHORTEST:
                 return u, "no step"
-        if project(trial):
+        changed = project(trial)
+        if len(changed):
             new_energy, new_g = problem.energy(trial)
+            held = np.union1d(held, changed)
+        new_g.ravel()[held] = 0
         s, y = trial - u, new_g - g
         product = _dot(s, y)
         if product > 0:

@@ -1,8 +1,8 @@
 """The second phase: from the diffused surface towards H = 0, coarse to fine, with the topology kept.
 
-On each grid the diffuse Willmore energy is lowered on the domain and one voxel round it. No wall condition acts on the
-surface, so it need not meet the wall at 90°: that leaves H = 0 reachable everywhere and spares the stair-stepped wall
-(measured; with reflecting walls the voxel steps bend the surface and its topology flickers there).
+On each grid the diffuse Willmore energy is lowered on the voxels of the domain, with no flux through their outer faces.
+Measured (authors' U-shape, 300 sites, 108 voxels, 200 iterations): an energy taken one voxel beyond the wall, which
+leaves the contact free, ends at a median |H| of 1.6 where this one ends at 1.26, and runs into the topology's guard.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dualms.errors import FieldDiverged
 from dualms.field import topology
@@ -73,15 +74,15 @@ def minimise(
     u = profile(samples.on(grid), eps)
     hot = lattice.colouring(u)
     colour(u, hot)
-    mask = lattice.depth > -grid.spacing
+    mask = lattice.inside
     kept = np.zeros((0, 3), dtype=np.int64)
 
-    def project(values: Floats) -> bool:
+    def project(values: Floats) -> NDArray[np.int64]:
         nonlocal kept
         kept = topology.follow(hot, values, lattice.inside)
         at = tuple(kept.T)
         values[at] = np.where(hot[at], _PIN, -_PIN)
-        return len(kept) > 0
+        return np.ravel_multi_index(at, grid.shape)
 
     def look(step: int, energy: float) -> None:
         if not math.isfinite(energy):
