@@ -33,6 +33,7 @@ class Collected:
 def collect(records: Records, store: ArtifactStore) -> Collected:
     """One collection; safe while everything runs, and by several processes at once."""
     designs = _old_designs(records)
+    _empty_studies(records)
     results = _old_results(records)
     return _blobs(records, store, designs, results)
 
@@ -45,6 +46,14 @@ def _old_designs(records: Records) -> int:
     with records.database.read() as session:
         ids = session.scalars(select(d.id).where(d.status.in_(views.FINAL), d.finished_at < Now() - days * 86400)).all()
     return sum(records.delete(design_id) for design_id in ids)
+
+
+def _empty_studies(records: Records) -> None:
+    """Forget studies all of whose designs were deleted."""
+    d, s = tables.Design, tables.Study
+    with records.database.write() as session:
+        used = select(d.study_id).where(d.study_id.is_not(None))
+        session.execute(delete(s).where(s.id.not_in(used)))
 
 
 def _old_results(records: Records) -> int:
