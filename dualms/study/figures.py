@@ -89,3 +89,9 @@ def figure(report: Mapping[str, Any], path: str) -> Scalar:
     if isinstance(place, float) and not math.isfinite(place):
         return None
     return place if isinstance(place, str | int | float) else None
+
+
+def problem_of(report: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Code and message, where a design was made but its flow could not be solved."""
+    code, message = (figure(report, f"evaluation.problem.{part}") for part in ("code", "message"))
+    return (str(code), str(message)) if code is not None else None

@@ -34,7 +34,7 @@ class Row:
     href
         Where the design's report is, relative or absolute; empty where there is none.
     error
-        Code and message, where the design failed.
+        Code and message, where the design failed or its flow could not be solved.
     """
 
     values: dict[str, Any]

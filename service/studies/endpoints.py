@@ -8,6 +8,7 @@ from fastapi import APIRouter, Header, Path, Query
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
+from service.access import CallerDep
 from service.backend import BackendDep
 from service.conditional import wait_s
 from service.designs.endpoints import Prefer
@@ -35,12 +36,13 @@ _BYTES = {"application/octet-stream": {"schema": {"type": "string", "format": "b
              responses={202: {"headers": _HEADERS}, **answers(400, 404, 413, 422)})  # fmt: skip
 async def create_study(
     backend: BackendDep,
+    caller: CallerDep,
     wanted: StudyIn,
     idempotency_key: Annotated[str | None, Header(description="The same key and body give the same study.")] = None,
     prefer: Prefer = None,
 ) -> Response:
     """Ask for a design at every point of a grid over the specification."""
-    study = await run_in_threadpool(submit_study, backend, wanted, idempotency_key)
+    study = await run_in_threadpool(submit_study, backend, caller, wanted, idempotency_key)
     patience = wait_s(prefer, backend.settings.max_wait_s)
     study = await follow_study(backend, study, patience, None)
     answer = await run_in_threadpool(study_answer, backend, study, 202, waited_s=patience)
@@ -51,11 +53,12 @@ async def create_study(
 @router.get("", responses=answers(422))
 def list_studies(
     backend: BackendDep,
+    caller: CallerDep,
     limit: Annotated[int, Query(ge=1, le=100, description="Studies a page.")] = 20,
     cursor: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="From the page before.")] = None,
 ) -> StudyPage:
     """Studies, newest first."""
-    studies, following = Studies(backend.records).page(limit, cursor)
+    studies, following = Studies(backend.records).page(limit, cursor, caller.only)
     address = f"/v1/studies?limit={limit}&cursor={following}" if following else None
     return StudyPage(items=[study_summary(backend, study) for study in studies], next=address)
 

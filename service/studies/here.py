@@ -24,7 +24,7 @@ from dualms.steps import (
     step_keys,
     steps_of,
 )
-from dualms.study.figures import Scalar, default_metrics, figure, objectives_of
+from dualms.study.figures import Scalar, default_metrics, figure, objectives_of, problem_of
 from dualms.study.grid import Point
 from dualms.study.table import PICTURE, Row, Table, make_table
 from service.designs.resolve import resolved
@@ -175,7 +175,7 @@ def _run(cache: StepCache, point: Point, progress: _Share, folder: Path, number:
         _link(files[name], place / name)
     report = _read(files["report.json"])
     figures: dict[str, Scalar] = {path: figure(report, path) for path in shown}
-    return Row(point.values, key, "succeeded", figures, f"{POINTS_FOLDER}/{number:03d}/report.html")
+    return Row(point.values, key, "succeeded", figures, f"{POINTS_FOLDER}/{number:03d}/report.html", problem_of(report))
 
 
 def _write(table: Table, folder: Path) -> None:

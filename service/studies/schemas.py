@@ -68,7 +68,7 @@ class RowOut(Output):
     progress: float = Field(ge=0, le=1)
     figures: dict[str, Figure] = Field(description="The metrics; null where there is no such figure.")
     front: bool = Field(description="Whether no other point is at least as good in both objectives and better in one.")
-    error: ErrorOut | None
+    error: ErrorOut | None = Field(description="Why the design failed, or why its flow could not be solved.")
     href: str | None = Field(description="Address of the design.")
 
 

@@ -12,6 +12,7 @@ from dualms.errors import DualMSError
 from dualms.spec import Spec, Unit
 from dualms.study.figures import default_metrics
 from dualms.study.grid import InvalidPoint, Point, grid_points
+from service.access import Caller, may_use_domain, note, within_quota
 from service.backend import Backend
 from service.designs.checks import check_against_domain
 from service.designs.resolve import resolved
@@ -22,7 +23,7 @@ from worker.records import DomainRecord, IdempotencyConflict, NewDesign
 from worker.studies import NewStudy, Studies, StudyRecord
 
 
-def submit_study(backend: Backend, wanted: StudyIn, key: str | None, owner: str | None = None) -> StudyRecord:
+def submit_study(backend: Backend, caller: Caller, wanted: StudyIn, key: str | None) -> StudyRecord:
     """Check every point, record the study with its designs, and announce them; the same key gives the same study.
 
     Raises
@@ -34,6 +35,7 @@ def submit_study(backend: Backend, wanted: StudyIn, key: str | None, owner: str 
         advice = "Use a random UUID."
         raise Problem("malformed-request", f"An Idempotency-Key has 1 to {MAX_KEY} printable characters.", advice)
     domain = backend.domain(wanted.domain)
+    may_use_domain(caller, domain.owner, domain.id)
     points = study_points(wanted.spec, wanted.grid)
     queues = backend.records.live_queues()
     points = tuple(replace(p, spec=_resolved(p, domain, queues)) for p in points)
@@ -42,11 +44,12 @@ def submit_study(backend: Backend, wanted: StudyIn, key: str | None, owner: str 
         spec=dict(wanted.spec),
         grid={path: list(values) for path, values in wanted.grid.items()},
         metrics=wanted.metrics or default_metrics(p.spec for p in points),
-        points=tuple((p.values, _design(p, domain, wanted, owner)) for p in points),
+        points=tuple((p.values, _design(p, domain, wanted, caller.owner)) for p in points),
         name=wanted.name,
         labels=wanted.labels,
-        owner=owner,
+        owner=caller.owner,
     )
+    within_quota(backend, caller, designs=len(points))
     digest = hashlib.sha256(("study" + wanted.model_dump_json()).encode()).hexdigest()
     try:
         study, made = Studies(backend.records).create(new, (key, digest) if key is not None else None)
@@ -57,6 +60,7 @@ def submit_study(backend: Backend, wanted: StudyIn, key: str | None, owner: str 
             "Send the first body again, or use a new key.",
         ) from None
     if made:
+        note(backend, caller, "study.create", study.id, points=len(points))
         for point in study.points:
             if point.design is not None:
                 backend.wakeups.send(point.design)

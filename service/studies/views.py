@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 from urllib.parse import quote
 
-from dualms.study.figures import GEOMETRIC, HYDRAULIC, figure
+from dualms.study.figures import GEOMETRIC, HYDRAULIC, figure, problem_of
 from dualms.study.table import PICTURE, Row, Table, make_table
 from service.backend import Backend
-from service.designs.schemas import DomainRef, Status
+from service.designs.schemas import DomainRef, ErrorOut, Status
 from service.designs.views import error_view
 from service.studies.schemas import CountsOut, FileOut, ObjectivesOut, RowOut, StudyOut, StudySummary
 from service.times import iso
@@ -43,7 +43,7 @@ def study_table(study: StudyRecord) -> Table:
             status_of(point),
             figures,
             _report(point),
-            (error.code, error.detail) if error is not None else None,
+            (error.code, error.detail) if error is not None else problem_of(metrics),
         )
         rows.append(row)
     return make_table(study.name or f"Study {study.id[:13]}", tuple(study.grid), study.metrics, objectives, rows)
@@ -65,7 +65,7 @@ def study_view(backend: Backend, study: StudyRecord) -> StudyOut:
             progress=_progress(point),
             figures={path: row.figures[path] for path in study.metrics},
             front=row.front,
-            error=error_view(point.design) if point.design is not None else None,
+            error=_error(point, row),
             href=f"/v1/designs/{point.design_id}" if point.design is not None else None,
         )
         for point, row in zip(study.points, table.rows, strict=True)
@@ -99,6 +99,13 @@ def _brief(backend: Backend, study: StudyRecord) -> dict[str, object]:
         "finished_at": iso(max(ends)) if study.final and ends else None,
         "href": f"/v1/studies/{study.id}",
     }
+
+
+def _error(point: StudyPoint, row: Row) -> ErrorOut | None:
+    """Why the design failed, or why its flow could not be solved."""
+    if point.design is not None and (error := error_view(point.design)) is not None:
+        return error
+    return ErrorOut(code=row.error[0], detail=row.error[1], advice="", measured={}) if row.error else None
 
 
 def _progress(point: StudyPoint) -> float:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from dualms.errors import InvalidSpec
 from dualms.spec import Spec
-from dualms.study.figures import GEOMETRIC, HYDRAULIC, Scalar, default_metrics, figure, objectives_of
+from dualms.study.figures import GEOMETRIC, HYDRAULIC, Scalar, default_metrics, figure, objectives_of, problem_of
 from dualms.study.front import pareto_front
 from dualms.study.grid import MAX_POINTS, InvalidPoint, StudyTooLarge, grid_points
 from dualms.study.table import Row, Table, make_table, table_of
@@ -197,3 +197,13 @@ def test_a_picture_is_drawn_whatever_there_is(figures: list[tuple[Scalar, Scalar
     made = table(figures)
     assert study_picture(made).startswith(b"\x89PNG")
     assert study_picture(made) == study_picture(made)
+
+
+def test_a_design_whose_flow_was_not_solved_says_so_in_its_row() -> None:
+    assert problem_of({"evaluation": {"design": None, "problem": {"code": "c", "message": "m"}}}) == ("c", "m")
+    assert problem_of({"evaluation": {"design": {}, "problem": None}}) is None
+    assert problem_of({"evaluation": None}) is None
+    row = Row({"seed": 0}, "0", "succeeded", dict.fromkeys((HYDRAULIC.small, HYDRAULIC.large)), "", ("c", "m"))
+    made = make_table("t", ("seed",), (HYDRAULIC.large,), HYDRAULIC, [row])
+    assert "<code>c</code>" in made.to_html()
+    assert made.to_csv().splitlines()[1].endswith(",c")
