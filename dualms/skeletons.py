@@ -63,7 +63,7 @@ def skeletons(domain: Domain, graph: Graph, partition: Partition) -> Skeletons:
     labels = partition.labels
     ends = labels[graph.edges]
     edges = {side: graph.edges[(ends == side).all(axis=1)] for side in (1, -1)}
-    bones = {side: sample_segments(graph.sites[e[:, 0]], graph.sites[e[:, 1]]) for side, e in edges.items()}
+    bones = {side: _bones(graph, (ends == side).all(axis=1)) for side in (1, -1)}
     trees = {side: cKDTree(points) for side, points in bones.items()}
     joined: dict[int, list[Array]] = {1: [bones[1]], -1: [bones[-1]]}
     nearest = cKDTree(graph.sites)
@@ -113,6 +113,17 @@ def write_json(path: Path, domain: Domain, graph: Graph, partition: Partition) -
     partial = path.with_name(path.name + ".partial")
     partial.write_text(json.dumps(document, separators=(",", ":")))
     partial.replace(path)
+
+
+def _bones(graph: Graph, chosen: NDArray[np.bool_]) -> Array:
+    """Samples of edges, each led through the face that its cells share.
+
+    The paper's edges are straight. A straight edge may cross other cells, and so the other fluid's skeleton; led
+    through the shared face it stays in the two cells, whatever their stretch.
+    """
+    a, b = graph.edges[chosen].T
+    passages = graph.passages[chosen]
+    return np.concatenate([sample_segments(graph.sites[a], passages), sample_segments(passages, graph.sites[b])])
 
 
 def _clear_part(samples: Array, other: cKDTree) -> Array:

@@ -43,33 +43,57 @@ def connected_cells(inside: Mask, cells: Cells, count: int) -> Cells:
     return volume
 
 
-def cell_adjacency(volume: Cells) -> tuple[Edges, NDArray[np.int64]]:
-    """(E, 2) sorted pairs of cells that share voxel faces in ``volume`` (nx, ny, nz), and (E,) how many."""
+def cell_adjacency(volume: Cells) -> tuple[Edges, NDArray[np.int64], Array]:
+    """Pairs of cells that share voxel faces.
+
+    Parameters
+    ----------
+    volume
+        (nx, ny, nz) cell of each voxel, -1 outside.
+
+    Returns
+    -------
+    edges
+        (E, 2) sorted pairs.
+    faces
+        (E,) how many voxel faces each pair shares.
+    middles
+        (E, 3) of the shared faces the one nearest to their mean, in voxels.
+    """
     count = int(volume.max()) + 1
-    keys = []
+    keys, centers = [], []
     for axis in range(3):
         a = volume[(slice(None),) * axis + (slice(None, -1),)].ravel()
         b = volume[(slice(None),) * axis + (slice(1, None),)].ravel()
         differ = (a != b) & (a >= 0) & (b >= 0)
         low, high = np.minimum(a[differ], b[differ]), np.maximum(a[differ], b[differ])
         keys.append(low.astype(np.int64) * count + high)
-    pairs, faces = np.unique(np.concatenate(keys), return_counts=True)
-    return np.stack([pairs // count, pairs % count], axis=1), faces
+        shape = tuple(n - (k == axis) for k, n in enumerate(volume.shape))
+        at = np.stack(np.unravel_index(np.flatnonzero(differ), shape), axis=1).astype(float)
+        at[:, axis] += 0.5
+        centers.append(at)
+    key, center = np.concatenate(keys), np.concatenate(centers)
+    pairs, owner, faces = np.unique(key, return_inverse=True, return_counts=True)
+    mean = np.stack([np.bincount(owner, center[:, k]) for k in range(3)], axis=1) / faces[:, None]
+    away = ((center - mean[owner]) ** 2).sum(axis=1)
+    order = np.lexsort((away, owner))
+    first = np.searchsorted(owner[order], np.arange(len(pairs)))
+    return np.stack([pairs // count, pairs % count], axis=1), faces, center[order[first]]
 
 
-def inside_edges(
-    domain: Domain, grid: Grid, inside: Mask, sites: Array, edges: Edges, slack: float = 0.4
+def inside_segments(
+    domain: Domain, grid: Grid, inside: Mask, starts: Array, ends: Array, slack: float = 0.4
 ) -> NDArray[np.bool_]:
-    """(E,) which straight edges stay in the domain, or leave it by less than ``slack`` voxels."""
-    lengths = np.linalg.norm(sites[edges[:, 1]] - sites[edges[:, 0]], axis=1)
+    """(E,) which straight segments stay in the domain, or leave it by less than ``slack`` voxels."""
+    lengths = np.linalg.norm(ends - starts, axis=1)
     pieces = np.maximum(np.ceil(lengths / (0.5 * grid.spacing)).astype(int), 1)
-    owner = np.repeat(np.arange(len(edges)), pieces + 1)
+    owner = np.repeat(np.arange(len(starts)), pieces + 1)
     within = np.arange(len(owner)) - np.repeat(np.cumsum(pieces + 1) - (pieces + 1), pieces + 1)
     share = (within / pieces[owner])[:, None]
-    points = sites[edges[owner, 0]] * (1 - share) + sites[edges[owner, 1]] * share
+    points = starts[owner] * (1 - share) + ends[owner] * share
     outside = ~inside[tuple(grid.nearest(points).T)]
     outside[outside] = domain.signed_distance(points[outside]) < -slack * grid.spacing
-    return np.asarray(np.bincount(owner[outside], minlength=len(edges)) == 0)
+    return np.asarray(np.bincount(owner[outside], minlength=len(starts)) == 0)
 
 
 def sites_in_cells(grid: Grid, volume: Cells, sites: Array) -> Array:

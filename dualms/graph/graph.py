@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from dualms.domain import Domain, Mask
 from dualms.errors import DisconnectedDomain, InfeasiblePartition
 from dualms.flow import FlowField
-from dualms.graph.edges import Cells, Edges, cell_adjacency, connected_cells, inside_edges, sites_in_cells
+from dualms.graph.edges import Cells, Edges, cell_adjacency, connected_cells, inside_segments, sites_in_cells
 from dualms.graph.sites import lloyd, stretched_metric
 from dualms.grid import Array, Grid, thinned
 from dualms.progress import Progress, Silent
@@ -41,6 +41,8 @@ class Graph:
         (E,) float64, at least 0 (Eq. 1: ``transverse_weight`` across the flow, else 1).
     areas
         (E,) float64, area of the face that the two cells share.
+    passages
+        (E, 3) float64, a point in the middle of that face: the way from site to site through it stays in both cells.
     pins
         (N,) int8: 1 the site must be hot, -1 cold, 0 free.
     openings
@@ -55,6 +57,7 @@ class Graph:
     edges: Edges
     weights: Array
     areas: Array
+    passages: Array
     pins: NDArray[np.int8]
     openings: tuple[Indices, ...]
     ports: tuple[Indices, ...]
@@ -76,6 +79,8 @@ class Graph:
             raise ValueError("weights must be finite and not negative")
         if self.areas.shape != self.weights.shape or not (self.areas > 0).all():
             raise ValueError("each edge needs a positive area")
+        if self.passages.shape != (len(self.edges), 3) or not np.isfinite(self.passages).all():
+            raise ValueError("each edge needs a passage")
         if not len(self.ports) == len(self.port_fluids) == len(self.port_inlets):
             raise ValueError("each port needs its sites, its fluid and whether it is an inlet")
         if self.pins.shape != (count,) or not np.isin(self.pins, (-1, 0, 1)).all():
@@ -126,8 +131,11 @@ def site_graph(
     tessellation = lloyd(points, spec.sites, seed, metric=metric, spread=spread, density=density, progress=progress)
     cells = connected_cells(inside, tessellation.cells, spec.sites)
     sites = sites_in_cells(grid, cells, tessellation.sites)
-    edges, faces = cell_adjacency(cells)
-    kept = inside_edges(domain, grid, inside, sites, edges)
+    edges, faces, middles = cell_adjacency(cells)
+    passages = grid.origin + grid.spacing * middles
+    kept = inside_segments(domain, grid, inside, sites[edges[:, 0]], passages)
+    kept &= inside_segments(domain, grid, inside, passages, sites[edges[:, 1]])
+    passages = passages[kept]
     edges, areas = edges[kept], np.asarray(STAIRS * grid.spacing**2 * faces[kept], dtype=float)
     _refuse_parts(edges, spec.sites)
     progress.report("graph", 0.9, f"{len(edges)} edges")
@@ -135,7 +143,7 @@ def site_graph(
     pins, openings, ports = _port_sites(domain, grid, inside, cells, spec.sites)
     fluids = np.array([port.fluid for port in domain.ports], dtype=np.int8)
     inlets = np.array([port.inlet for port in domain.ports], dtype=bool)
-    return Graph(sites, edges, weights, areas, pins, openings, ports, fluids, inlets)
+    return Graph(sites, edges, weights, areas, passages, pins, openings, ports, fluids, inlets)
 
 
 def edge_weights(sites: Array, edges: Edges, flow: FlowField | None, spec: GraphSpec) -> Array:

@@ -41,8 +41,10 @@ def test_every_edge_within_a_side_is_covered_once(design: Design) -> None:
     for side, points, edges in ((1, found.hot, found.hot_edges), (-1, found.cold, found.cold_edges)):
         assert (partition.labels[edges] == side).all()
         assert len(np.unique(edges, axis=0)) == len(edges)
-        middles = graph.sites[edges].mean(axis=1)
-        assert cKDTree(points).query(middles)[0].max() < SPACING
+        chosen = (partition.labels[graph.edges] == side).all(axis=1)
+        assert cKDTree(points).query(graph.passages[chosen])[0].max() < SPACING
+        halfway = (graph.sites[edges] + graph.passages[chosen][:, None]) / 2
+        assert cKDTree(points).query(halfway.reshape(-1, 3))[0].max() < SPACING
     cut = (partition.labels[graph.edges[:, 0]] != partition.labels[graph.edges[:, 1]]).sum()
     assert len(found.hot_edges) + len(found.cold_edges) + cut == len(graph.edges)
 

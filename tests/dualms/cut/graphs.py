@@ -34,10 +34,12 @@ def delaunay_graph(count: int, seed: int, transverse: float = 5.0, ports: str = 
         touching = (openings[0], openings[1], openings[1], openings[0])
     fluids = np.array({"none": (), "dedicated": (1, 1, -1, -1), "shared": (1, 1, -1, -1)}[ports], dtype=np.int8)
     inlets = np.array([True, False] * (len(fluids) // 2), dtype=bool)
-    return Graph(sites, edges, weights, np.ones(len(edges)), pins, openings, touching, fluids, inlets)
+    middles = sites[edges].mean(axis=1)
+    return Graph(sites, edges, weights, np.ones(len(edges)), middles, pins, openings, touching, fluids, inlets)
 
 
 def bare_graph(sites: np.ndarray, edges: np.ndarray, weights: np.ndarray, pins: np.ndarray) -> Graph:
     """A graph without openings and ports."""
     nothing = np.zeros(0, dtype=np.int8)
-    return Graph(sites, edges, weights, np.ones(len(edges)), pins, (), (), nothing, nothing.astype(bool))
+    middles = sites[edges].mean(axis=1)
+    return Graph(sites, edges, weights, np.ones(len(edges)), middles, pins, (), (), nothing, nothing.astype(bool))

@@ -23,6 +23,7 @@ def _rail(area: float, length: float, rungs: int = 5) -> tuple[Graph, np.ndarray
         edges,
         np.ones(len(edges)),
         np.full(len(edges), area),
+        sites[edges].mean(axis=1),
         np.zeros(len(sites), dtype=np.int8),
         (),
         ports,

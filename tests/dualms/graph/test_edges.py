@@ -18,11 +18,12 @@ def test_adjacency_of_a_lattice_is_its_six_neighbours() -> None:
     sites = Grid(np.full(3, 1 / 8), 1 / 4, (4, 4, 4)).points()
     inside = np.ones(grid.shape, dtype=bool)
     cells = connected_cells(inside, cKDTree(sites).query(grid.points())[1].astype(np.int32), 64)
-    edges, faces = cell_adjacency(cells)
+    edges, faces, middles = cell_adjacency(cells)
     assert (faces == 9).all()
     assert len(edges) == 3 * 4 * 4 * 3
     lengths = np.linalg.norm(sites[edges[:, 0]] - sites[edges[:, 1]], axis=1)
     np.testing.assert_allclose(lengths, 0.25)
+    np.testing.assert_allclose(grid.origin + grid.spacing * middles, sites[edges].mean(axis=1), atol=1e-12)
 
 
 def test_edges_in_a_cube_are_delaunay_edges() -> None:
@@ -53,11 +54,14 @@ def _slotted_box() -> Domain:
 def test_no_edge_crosses_a_slot_thinner_than_a_cell() -> None:
     domain = _slotted_box()
     graph = site_graph(domain, None, GraphSpec(sites=60), 0)
-    a, b = graph.sites[graph.edges[:, 0]], graph.sites[graph.edges[:, 1]]
-    across = (a[:, 1] - 0.5) * (b[:, 1] - 0.5) < 0
-    share = (0.5 - a[across, 1]) / (b[across, 1] - a[across, 1])
-    crossing = a[across, 0] + share * (b[across, 0] - a[across, 0])
-    assert across.any()
+    ends = graph.sites[graph.edges]
+    crossings = []
+    for start, stop in ((ends[:, 0], graph.passages), (graph.passages, ends[:, 1])):
+        across = (start[:, 1] - 0.5) * (stop[:, 1] - 0.5) < 0
+        share = (0.5 - start[across, 1]) / (stop[across, 1] - start[across, 1])
+        crossings.append(start[across, 0] + share * (stop[across, 0] - start[across, 0]))
+    crossing = np.concatenate(crossings)
+    assert len(crossing) > 0
     assert crossing.min() > 0.74
     assert (domain.signed_distance(graph.sites) > 0).all()
 
