@@ -10,6 +10,7 @@ fewest running designs, then age. So a lost, repeated or reordered message chang
 from __future__ import annotations
 
 import contextlib
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -22,6 +23,7 @@ from sqlalchemy.orm import Session
 from dualms.spec import Spec
 from dualms.steps import INTERNAL, MEDIA_TYPES, Step, step_keys, steps_of
 from worker import tables, views
+from worker.code import code_id
 from worker.database import Now
 from worker.failures import Failure, worker_lost
 from worker.records import Records, change, end, live_queues
@@ -76,9 +78,15 @@ class Lease:
         return Spec.model_validate(self.design.spec)
 
     @property
+    def of_other_code(self) -> bool:
+        """Whether the earlier steps were carried out by other code, whose files this one may not understand."""
+        return bool(self.hints.get("code", code_id()) != code_id())
+
+    @property
     def key(self) -> str:
-        """Cache key of the step's result."""
-        return step_keys(self.domain.sha256, self.spec)[self.step]
+        """Cache key of the step's result, by this code."""
+        text = f"{code_id()} {step_keys(self.domain.sha256, self.spec)[self.step]}"
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 class Leases:
@@ -236,6 +244,7 @@ class Leases:
                     progress=progress_of(steps, _is_neural(spec), following[0], None, 0.0),
                     timings=timings,
                     metrics=metrics,
+                    hints=lease.hints | {"code": code_id()},
                     **self._waiting(session, following[0], spec),
                 )
             else:
@@ -295,7 +304,7 @@ class Leases:
             )
 
     def start_over(self, lease: Lease, reason: str) -> DesignRecord | None:
-        """Go back to the first step, because an input is gone from the store; what is still there is reused."""
+        """Go back to the first step, because an input is gone or unreadable; what is still good is reused."""
         first = steps_of(lease.spec)[0]
         rounds = int(lease.hints.get("rounds", 0)) + 1
         if rounds > self.settings.max_tries:
@@ -309,7 +318,7 @@ class Leases:
                 tables.Design.attempt == lease.attempt,
                 counts=False,
                 step=first,
-                hints=lease.hints | {"rounds": rounds},
+                hints={k: v for k, v in lease.hints.items() if k != "code"} | {"rounds": rounds},
                 checkpoint=None,
             )
 

@@ -50,8 +50,10 @@ def celery_app(settings: Settings) -> Celery:
         broker_transport_options={
             "visibility_timeout": int(settings.step_seconds + 3600),
             "socket_connect_timeout": 5,
+            # A network that drops everything closes no connection: without these a send would wait for ever.
+            "socket_timeout": 15,
+            "health_check_interval": 10,
             "socket_keepalive": True,
-            "health_check_interval": 25,
             "retry_on_timeout": True,
         },
         broker_connection_retry_on_startup=True,

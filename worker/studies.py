@@ -181,12 +181,16 @@ class Studies:
             row = session.get(tables.Study, study_id)
             return _record(session, row) if row is not None else None
 
-    def page(self, limit: int = 50, cursor: str | None = None) -> tuple[tuple[StudyRecord, ...], str | None]:
+    def page(
+        self, limit: int = 50, cursor: str | None = None, owner: str | None = None
+    ) -> tuple[tuple[StudyRecord, ...], str | None]:
         """Studies, newest first, and the cursor of the next page; ``cursor`` is the id of the last one seen."""
         s = tables.Study
         query = select(s).order_by(s.id.desc()).limit(limit + 1)
         if cursor is not None:
             query = query.where(s.id < cursor)
+        if owner is not None:
+            query = query.where(s.owner == owner)
         with self._database.read() as session:
             rows = session.scalars(query).all()
             return tuple(_record(session, row) for row in rows[:limit]), rows[limit - 1].id if len(

@@ -86,6 +86,9 @@ def carry_out(station: Station, lease: Lease) -> DesignRecord | None:
     """Carry out a claimed step. Returns the design where something is left to do with it."""
     leases, store = station.leases, station.store
     patience_s = station.settings.lease_s
+    if lease.of_other_code:
+        reason = "DualMS was updated since the earlier steps"
+        return patiently(lambda: leases.start_over(lease, reason), patience_s)
     result = patiently(lambda: leases.cached(lease), patience_s)
     if result is not None:
         if all(store.size(file.sha256) == file.size for file in result.files):

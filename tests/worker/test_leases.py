@@ -207,3 +207,20 @@ def test_a_smaller_batch_is_kept_with_the_design(records: Records, leases: Lease
     assert again.hints == {"points": 1024}
     assert again.key != lease.key
     assert records.events(made.id)[-2].data["reason"] == "too small"
+
+
+def test_an_update_of_the_code_starts_a_design_over(
+    leases: Leases, design: DesignRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leases.commit(claim(leases), result_of("prepare"))
+    same = claim(leases)
+    key = same.key
+    assert not same.of_other_code
+    leases.hand_back(same, "x", counts=False)
+    monkeypatch.setattr("worker.leases.code_id", lambda: "99")
+    lease = claim(leases)
+    assert lease.of_other_code
+    assert lease.key != key
+    assert leases.start_over(lease, "updated") is not None
+    again = claim(leases)
+    assert (again.step, again.of_other_code) == ("prepare", False)
