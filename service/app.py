@@ -7,11 +7,12 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from prometheus_client import CollectorRegistry
 
 from dualms import __version__
 from service import problems, system
+from service.access import Access, guard
 from service.artifacts.endpoints import router as artifacts
 from service.backend import open_backend
 from service.designs.endpoints import router as designs
@@ -45,6 +46,7 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
         try:
             async with open_backend(ours, theirs) as backend:
                 app.state.backend = backend
+                app.state.access = Access(backend.records, ours.require_keys)
                 collector: Any = QueueCollector(lambda: system.gauges(backend))
                 registry.register(collector)
                 yield
@@ -60,8 +62,10 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
     )
     app.state.registry = registry
     problems.install(app)
-    for router in (designs, artifacts, domains, studies, system.router):
-        app.include_router(router)
+    refusals = problems.answers(401, 403, 429)
+    for router in (designs, artifacts, domains, studies):
+        app.include_router(router, dependencies=[Depends(guard)], responses=refusals)
+    app.include_router(system.router)
     describe(app)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
     app.add_middleware(Meter, registry=registry)

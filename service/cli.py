@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -11,6 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
 from rich.console import Console
+
+from service.administration import gc
+from service.administration import keys as keys_commands
 
 if TYPE_CHECKING:
     from dualms.spec import Spec, Unit
@@ -43,6 +47,10 @@ Data = Annotated[
 def main() -> None:
     """Run the command line."""
     app()
+
+
+app.add_typer(keys_commands, name="keys")
+app.command("gc")(gc)
 
 
 def one_line_errors(command: Callable[P, T]) -> Callable[P, T]:
@@ -89,6 +97,7 @@ def serve(
     ] = False,
 ) -> None:
     """Run API, worker, broker and store on this machine, until Ctrl-C."""
+    from service.administration import any_key
     from service.local import CannotServe, Plan, serve
     from service.settings import worker_settings
 
@@ -100,6 +109,7 @@ def serve(
         redis_url=settings.redis_url or None,
         queues=_queues(queues) if queues else None,
         allow_remote=allow_remote_without_keys,
+        keys=lambda: any_key(settings),
     )
     try:
         serve(plan, lambda text: out.print(text, highlight=False, markup=False, soft_wrap=True))
@@ -117,11 +127,15 @@ def api(
     ] = False,
 ) -> None:
     """Run the API alone, for a team's cluster (DUALMS_REDIS_URL, DUALMS_DATABASE_URL, DUALMS_STORE_URL)."""
+    from service.administration import any_key
     from service.listen import run
-    from service.local import CannotServe, listen
+    from service.local import CannotServe, check_address, listen
+    from service.settings import worker_settings
 
+    settings = worker_settings()
     try:
-        listener = listen(host, port, allow_remote_without_keys)
+        os.environ.update(check_address(host, allow_remote_without_keys, lambda: any_key(settings)))
+        listener = listen(host, port)
     except CannotServe as error:
         refuse(str(error))
     run(listener)

@@ -81,6 +81,7 @@ def _design_body(schemas: Schemas) -> dict[str, Any]:
             "spec": {"$ref": _TEMPLATE.format(model=spec)},
             "name": {"type": "string", "minLength": 1, "maxLength": 200, "description": options["name"]["description"]},
             "labels": {"type": "string", "description": "For filters, with commas between."},
+            "webhook": {"type": "string", "maxLength": 2000, "pattern": "^https?://"},
             "deadline_s": {
                 "type": "number",
                 "exclusiveMinimum": 0,

@@ -51,7 +51,9 @@ class Plan:
     queues
         Queues of the worker; None asks the machine.
     allow_remote
-        Listen on other addresses than the loopback's.
+        Listen on other addresses than the loopback's, without keys.
+    keys
+        Says whether there is a valid API key.
     """
 
     data: Path
@@ -60,6 +62,7 @@ class Plan:
     redis_url: str | None = None
     queues: tuple[str, ...] | None = None
     allow_remote: bool = False
+    keys: Callable[[], bool] = lambda: False
 
 
 def serve(plan: Plan, say: Callable[[str], None] = print) -> None:
@@ -71,10 +74,10 @@ def serve(plan: Plan, say: Callable[[str], None] = print) -> None:
         If the folder is served already, the port is taken, or the address is not allowed.
     """
     stop = _StopSignals()
-    check_address(plan.host, plan.allow_remote)
+    access = check_address(plan.host, plan.allow_remote, plan.keys)
     plan.data.mkdir(parents=True, exist_ok=True)
     lock = _lock(plan.data)
-    listener = listen(plan.host, plan.port, plan.allow_remote)
+    listener = listen(plan.host, plan.port)
     children: list[Child] = []
     try:
         logs = plan.data / "logs"
@@ -85,7 +88,7 @@ def serve(plan: Plan, say: Callable[[str], None] = print) -> None:
             children.append(broker)
             broker.start()
         queues = plan.queues or machine_queues()
-        env = {"DUALMS_REDIS_URL": url, "DUALMS_DATA_DIR": str(plan.data.resolve()), "PYTHONUNBUFFERED": "1"}
+        env = {**access, "DUALMS_REDIS_URL": url, "DUALMS_DATA_DIR": str(plan.data.resolve()), "PYTHONUNBUFFERED": "1"}
         children.append(_api(listener, logs, env))
         children[-1].start()
         if plan.redis_url is None:
@@ -147,36 +150,47 @@ def socket_path(data: Path) -> Path:
     return Path(tempfile.gettempdir()) / f"dualms-{os.getuid()}-{digest}" / "valkey.sock"
 
 
-def check_address(host: str, allow_remote: bool) -> None:
-    """Refuse addresses that others reach.
+def check_address(host: str, allow_remote: bool, keys: Callable[[], bool]) -> dict[str, str]:
+    """Refuse addresses that others reach as long as there is no API key; gives the API's environment.
+
+    Parameters
+    ----------
+    host
+        Address to listen on.
+    allow_remote
+        Listen there without keys, too.
+    keys
+        Says whether there is a valid key; only asked where it matters.
 
     Raises
     ------
     CannotServe
-        If ``host`` is not a loopback address and that was not allowed.
+        If ``host`` is not a loopback address, there is no key, and that was not allowed.
     """
     if allow_remote or host == "localhost":
-        return
+        return {}
     try:
         loopback = ipaddress.ip_address(host).is_loopback
     except ValueError:
         loopback = False
-    if not loopback:
+    if loopback:
+        return {}
+    if not keys():
         raise CannotServe(
-            f"{host} is not a loopback address, and the API asks for no keys: anyone who reaches it could use it. "
-            "Put it behind a proxy that checks who calls, or say --allow-remote-without-keys."
+            f"{host} is not a loopback address, and there is no API key: anyone who reaches it could use the service. "
+            "Make a key first (dualms keys create), or say --allow-remote-without-keys."
         )
+    return {"DUALMS_REQUIRE_KEYS": "true"}
 
 
-def listen(host: str, port: int, allow_remote: bool) -> socket.socket:
+def listen(host: str, port: int) -> socket.socket:
     """A listening socket that children can inherit.
 
     Raises
     ------
     CannotServe
-        If the address is not allowed or taken.
+        If the address is taken.
     """
-    check_address(host, allow_remote)
     try:
         info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(info[0], info[1])

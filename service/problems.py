@@ -17,7 +17,7 @@ from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 
 from dualms.errors import DualMSError
-from worker.artifacts import StoreFull
+from worker.artifacts import StoreAway, StoreFull
 
 log = logging.getLogger("dualms.service")
 
@@ -28,6 +28,10 @@ TYPE_PREFIX = "urn:dualms:problem:"
 STATUS: dict[str, int] = {
     # the request
     "malformed-request": 400,
+    "key-required": 401,
+    "key-invalid": 401,
+    "scope-missing": 403,
+    "cross-site": 403,
     "not-found": 404,
     "domain-not-found": 404,
     "design-not-found": 404,
@@ -39,6 +43,7 @@ STATUS: dict[str, int] = {
     "unsupported-format": 415,
     "range-not-satisfiable": 416,
     "invalid-request": 422,
+    "webhook-refused": 422,
     "invalid-cursor": 422,
     "idempotency-key-reused": 422,
     # the domain file
@@ -54,6 +59,7 @@ STATUS: dict[str, int] = {
     "wall-too-thick": 422,
     "evaluation-unavailable": 422,
     "study-too-large": 422,
+    "quota-exceeded": 429,
     # the service
     "internal-error": 500,
     "store-unavailable": 503,
@@ -62,6 +68,12 @@ STATUS: dict[str, int] = {
 }
 TITLES: dict[str, str] = {
     "malformed-request": "The request cannot be read",
+    "key-required": "An API key is needed",
+    "key-invalid": "The API key is not valid",
+    "scope-missing": "The API key does not allow this",
+    "cross-site": "Pages of other sites may not do this",
+    "webhook-refused": "The webhook's address cannot be used",
+    "quota-exceeded": "A quota would be exceeded",
     "not-found": "There is nothing at this address",
     "domain-not-found": "There is no such domain",
     "design-not-found": "There is no such design",
@@ -224,6 +236,13 @@ def install(app: FastAPI) -> None:
         log.error("the store does not answer: %s", error)
         advice = "Try again in a moment."
         problem = Problem("store-unavailable", "The records cannot be reached.", advice, headers={"Retry-After": "5"})
+        return problem.response()
+
+    @app.exception_handler(StoreAway)
+    async def _artifacts_away(request: Request, error: StoreAway) -> Response:
+        log.error("the artifact store does not answer: %s", error)
+        advice = "Try again in a moment."
+        problem = Problem("store-unavailable", "The artifacts cannot be reached.", advice, headers={"Retry-After": "5"})
         return problem.response()
 
     @app.exception_handler(StoreFull)

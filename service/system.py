@@ -15,6 +15,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_l
 from sqlalchemy.exc import SQLAlchemyError
 
 from dualms import __version__
+from service.access import OpenDep
 from service.backend import Backend, BackendDep
 from service.designs.views import artifact_view, design_summary
 from service.domains.schemas import Output
@@ -85,11 +86,11 @@ def metrics(request: Request) -> Response:
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
-def landing(request: Request, backend: BackendDep) -> str:
-    """A page for people."""
-    page = backend.records.designs(limit=NEWEST)
+def landing(request: Request, backend: BackendDep, everybody: OpenDep) -> str:
+    """A page for people; shows no designs where keys keep owners apart."""
+    shown = backend.records.designs(limit=NEWEST).items if everybody else ()
     queues = ", ".join(f"{q.queue} {q.workers}" for q in backend.records.queues() if q.workers) or "none yet"
-    cards = [_card(backend, row) for row in page.items]
+    cards = [_card(backend, row) for row in shown]
     base = str(request.base_url).rstrip("/")
     return str(_page().render(designs=cards, base=base, version=__version__, workers=queues))
 

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Header, Path, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
+from service.access import CallerDep, note
 from service.backend import BackendDep, design_not_found
 from service.conditional import wait_s
 from service.designs.following import design_answer, follow, wait_for
@@ -35,13 +36,14 @@ _HEADERS = {
              responses={202: {"headers": _HEADERS}, **answers(400, 404, 413, 415, 422)})  # fmt: skip
 async def create_design(
     backend: BackendDep,
+    caller: CallerDep,
     request: Request,
     idempotency_key: Annotated[str | None, Header(description="The same key and body give the same design.")] = None,
     prefer: Prefer = None,
 ) -> Response:
     """Ask for a design: JSON that names an uploaded domain, or a form with the file and the spec."""
-    wanted = await read_request(backend, request)
-    row = await run_in_threadpool(submit, backend, wanted, idempotency_key)
+    wanted = await read_request(backend, caller, request)
+    row = await run_in_threadpool(submit, backend, caller, wanted, idempotency_key)
     if (patience := wait_s(prefer, backend.settings.max_wait_s)) > 0:
         await wait_for(backend, row, patience, lambda r: r.status in FINAL)
         row = await run_in_threadpool(backend.design, row.id)
@@ -51,9 +53,9 @@ async def create_design(
 
 
 @router.get("", responses=answers(422))
-def list_designs(backend: BackendDep, filters: Annotated[Filters, Depends()]) -> DesignPage:
+def list_designs(backend: BackendDep, caller: CallerDep, filters: Annotated[Filters, Depends()]) -> DesignPage:
     """Designs, newest first."""
-    return list_page(backend, filters)
+    return list_page(backend, filters, caller.only)
 
 
 @router.get(
@@ -81,17 +83,19 @@ def get_events(
 
 
 @router.post("/{design_id}/cancel", response_model=DesignOut, responses=answers(404, 422))
-def cancel_design(backend: BackendDep, design_id: DesignId) -> Response:
+def cancel_design(backend: BackendDep, caller: CallerDep, design_id: DesignId) -> Response:
     """Cancel a design; one that has ended stays as it is."""
     row = backend.records.cancel(design_id)
     if row is None:
         raise design_not_found(design_id)
+    note(backend, caller, "design.cancel", design_id)
     return design_answer(backend, row)
 
 
 @router.delete("/{design_id}", status_code=204, responses=answers(404, 422))
-def delete_design(backend: BackendDep, design_id: DesignId) -> Response:
+def delete_design(backend: BackendDep, caller: CallerDep, design_id: DesignId) -> Response:
     """Forget a design and its artifacts; one that runs is cancelled first."""
     if not backend.records.delete(design_id):
         raise design_not_found(design_id)
+    note(backend, caller, "design.delete", design_id)
     return Response(None, 204)

@@ -38,8 +38,8 @@ class Filters:
     created_before: Annotated[Time | None, Query(description="ISO 8601, with a time zone; excluded.")] = None
 
 
-def list_page(backend: Backend, filters: Filters) -> DesignPage:
-    """One page."""
+def list_page(backend: Backend, filters: Filters, owner: str | None) -> DesignPage:
+    """One page; of one owner's designs if one is given."""
     page = backend.records.designs(
         limit=filters.limit,
         cursor=filters.cursor,
@@ -47,6 +47,7 @@ def list_page(backend: Backend, filters: Filters) -> DesignPage:
         label=filters.label,
         created_after=_seconds(filters.created_after),
         created_before=_seconds(filters.created_before),
+        owner=owner,
     )
     items = [design_summary(row, backend.domain_name(row.domain_id)) for row in page.items]
     return DesignPage(items=items, next=_next(filters, page.next))

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
 from dualms.spec import Spec
+from service.access import Caller, may_use_domain
 from service.backend import Backend
 from service.designs.schemas import DesignIn, DesignOptions
 from service.domains.uploads import receive_domain
@@ -23,7 +24,7 @@ M = TypeVar("M", bound=BaseModel)
 
 MAX_SPEC_BYTES = 1024**2
 JSON_ADVICE = "Send one JSON object, as GET /openapi.json describes it."
-_FORM_FIELDS = frozenset({"domain", "spec", "name", "labels", "deadline_s"})
+_FORM_FIELDS = frozenset({"domain", "spec", "name", "labels", "webhook", "deadline_s"})
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Wanted:
     sha256: str
 
 
-async def read_request(backend: Backend, request: Request) -> Wanted:
+async def read_request(backend: Backend, caller: Caller, request: Request) -> Wanted:
     """Read and check the body.
 
     Raises
@@ -58,10 +59,10 @@ async def read_request(backend: Backend, request: Request) -> Wanted:
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind == "application/json":
-        return await run_in_threadpool(_from_json, backend, await request.body())
+        return await run_in_threadpool(_from_json, backend, caller, await request.body())
     if kind == "multipart/form-data":
         async with request.form(max_files=2, max_fields=40, max_part_size=MAX_SPEC_BYTES) as form:
-            return await run_in_threadpool(_from_form, backend, form)
+            return await run_in_threadpool(_from_form, backend, caller, form)
     raise Problem(
         "unsupported-media-type",
         f"The body is {kind or 'of no stated type'}.",
@@ -69,13 +70,15 @@ async def read_request(backend: Backend, request: Request) -> Wanted:
     )
 
 
-def _from_json(backend: Backend, body: bytes) -> Wanted:
+def _from_json(backend: Backend, caller: Caller, body: bytes) -> Wanted:
     sent = _model(DesignIn, _json(body, "The body"))
-    options = DesignOptions(name=sent.name, labels=sent.labels, deadline_s=sent.deadline_s)
-    return Wanted(backend.domain(sent.domain), sent.spec, options, _digest(sent.domain, sent.spec, options))
+    options = DesignOptions(**sent.model_dump(include=set(DesignOptions.model_fields)))
+    domain = backend.domain(sent.domain)
+    may_use_domain(caller, domain.owner, domain.id)
+    return Wanted(domain, sent.spec, options, _digest(sent.domain, sent.spec, options))
 
 
-def _from_form(backend: Backend, form: FormData) -> Wanted:
+def _from_form(backend: Backend, caller: Caller, form: FormData) -> Wanted:
     unknown = sorted(set(form) - _FORM_FIELDS)
     if unknown:
         fields = [FieldProblem(field=name, message="Unknown form field") for name in unknown]
@@ -88,12 +91,12 @@ def _from_form(backend: Backend, form: FormData) -> Wanted:
     body = text.file.read(MAX_SPEC_BYTES + 1) if isinstance(text, UploadFile) else text.encode()
     spec = _model(Spec, _json(body, "The form's field 'spec'"), "spec")
     options = _model(DesignOptions, _options(form))
-    domain = receive_domain(backend, _binary(file), file.filename or "", spec.units)
+    domain = receive_domain(backend, caller, _binary(file), file.filename or "", spec.units)
     return Wanted(domain, spec, options, _digest(domain.id, spec, options))
 
 
 def _options(form: FormData) -> dict[str, Any]:
-    options: dict[str, Any] = {k: form[k] for k in ("name", "deadline_s") if k in form}
+    options: dict[str, Any] = {k: form[k] for k in ("name", "webhook", "deadline_s") if k in form}
     if "labels" in form:
         options["labels"] = [label for text in form.getlist("labels") for label in str(text).split(",") if label]
     return options
@@ -134,4 +137,4 @@ def _missing(field: str, message: str) -> Problem:
 
 
 def _form_advice() -> str:
-    return "Send the file as 'domain' and the JSON as 'spec'; beside them name, labels, deadline_s."
+    return "Send the file as 'domain' and the JSON as 'spec'; beside them name, labels, webhook, deadline_s."

@@ -45,6 +45,9 @@ class DesignOptions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     name: Name | None = Field(None, description="For people.")
     labels: tuple[Label, ...] = Field((), max_length=16, description="For filters.")
+    webhook: str | None = Field(
+        None, max_length=2000, pattern="^https?://", description="Told when the design ends (Standard Webhooks)."
+    )
     deadline_s: float | None = Field(
         None,
         gt=0,
@@ -118,6 +121,7 @@ class DesignOut(DesignSummary):
 
     spec: Spec = Field(description="The specification as resolved: no `auto`, units filled in.")
     deadline_at: str | None
+    webhook: str | None
     stages: list[StageOut] = Field(description="Times of the stages that ended, in order.")
     eta_s: float | None = Field(description="Seconds to the end, estimated from the progress so far.")
     note: str = Field(description="What the stage at work says for people.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dualms.spec import Unit
+from service.access import Caller, note, within_quota
 from service.backend import Backend
 from service.designs.checks import check_against_domain
 from service.designs.requests import Wanted
@@ -13,13 +14,13 @@ from worker.records import DesignRecord, IdempotencyConflict, NewDesign
 MAX_KEY = 255
 
 
-def submit(backend: Backend, wanted: Wanted, key: str | None, owner: str | None = None) -> DesignRecord:
+def submit(backend: Backend, caller: Caller, wanted: Wanted, key: str | None) -> DesignRecord:
     """Check, resolve, record and announce a design; the same key gives the same design.
 
     Raises
     ------
     Problem
-        ``idempotency-key-reused`` or ``malformed-request``.
+        ``idempotency-key-reused``, ``malformed-request``, ``webhook-refused`` or ``quota-exceeded``.
     DualMSError
         If the specification does not fit the domain, or asks for what no worker can do.
     """
@@ -37,8 +38,11 @@ def submit(backend: Backend, wanted: Wanted, key: str | None, owner: str | None 
         name=wanted.options.name,
         labels=wanted.options.labels,
         deadline_s=wanted.options.deadline_s,
-        owner=owner,
+        webhook=wanted.options.webhook,
+        owner=caller.owner,
     )
+    _check_webhook(backend, new.webhook)
+    within_quota(backend, caller, designs=1)
     try:
         row, made = backend.records.create_design(new, (key, wanted.sha256) if key is not None else None)
     except IdempotencyConflict:
@@ -49,4 +53,16 @@ def submit(backend: Backend, wanted: Wanted, key: str | None, owner: str | None 
         ) from None
     if made:
         backend.wakeups.send(row)
+        note(backend, caller, "design.create", row.id)
     return row
+
+
+def _check_webhook(backend: Backend, url: str | None) -> None:
+    if url is None:
+        return
+    from worker.webhooks import BadAddress, check_address
+
+    try:
+        check_address(url, backend.worker_settings.webhook_private)
+    except BadAddress as error:
+        raise Problem("webhook-refused", f"webhook: {error}.", "Give an address that the public reaches.") from None

@@ -56,6 +56,7 @@ def design_view(row: DesignRecord, domain_name: str, artifacts: Sequence[Artifac
         **_brief(row, domain_name),
         spec=spec,
         deadline_at=iso(row.deadline_at),
+        webhook=row.webhook,
         stages=[StageOut(stage=Stage(s), seconds=row.timings[s]) for s in order if s in row.timings],
         eta_s=_eta_s(row, now),
         note=row.note,

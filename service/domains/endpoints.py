@@ -8,6 +8,7 @@ from fastapi import APIRouter, File, Form, Path, UploadFile
 from fastapi.responses import Response
 
 from dualms.spec import Unit
+from service.access import CallerDep
 from service.artifacts.sending import AskedDep, Blob, send_blob
 from service.backend import BackendDep
 from service.domains.schemas import DomainOut
@@ -25,10 +26,11 @@ def upload_domain(
     backend: BackendDep,
     response: Response,
     file: Annotated[UploadFile, File(description="STL, OBJ, PLY, OFF, GLB or 3MF.")],
+    caller: CallerDep,
     units: Annotated[Unit | None, Form(description="Needed where the format carries none (all but GLB, 3MF).")] = None,
 ) -> DomainOut:
     """Upload an envelope. The same bytes again give the same record."""
-    row = receive_domain(backend, file.file, file.filename or "", units)
+    row = receive_domain(backend, caller, file.file, file.filename or "", units)
     response.headers["Location"] = f"/v1/domains/{row.id}"
     return domain_view(row)
 

@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 from dualms.errors import UnreadableFile, UnsupportedFormat
 from dualms.spec import Unit
+from service.access import Caller, note, within_quota
 from service.backend import Backend
 from worker.artifacts import put_file, read_chunks
 from worker.records import DomainRecord
@@ -17,16 +18,17 @@ SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
 MAX_NAME = 200
 
 
-def receive_domain(
-    backend: Backend, file: BinaryIO, filename: str, units: Unit | None, owner: str | None = None
-) -> DomainRecord:
+def receive_domain(backend: Backend, caller: Caller, file: BinaryIO, filename: str, units: Unit | None) -> DomainRecord:
     """Record an uploaded file, or give the record that it has already.
 
     Raises
     ------
     DualMSError
         If the file cannot be an envelope.
+    Problem
+        If the caller's quotas have no room for it.
     """
+    owner = caller.owner
     name, suffix = _named(filename)
     scratch = backend.worker_settings.scratch
     scratch.mkdir(parents=True, exist_ok=True)
@@ -37,6 +39,7 @@ def receive_domain(
             raise UnreadableFile("The file is empty.", advice="Export the domain again and check the upload.")
         if units is not None and (known := _known(backend, sha256, suffix, units, owner)) is not None:
             return known
+        within_quota(backend, caller, stored=size, uploads=1)
         from worker.inspection import inspect_upload
 
         inspection = inspect_upload(path, name, units, backend.worker_settings)
@@ -54,6 +57,7 @@ def receive_domain(
         )
         if _same(row, suffix, inspection.units, owner):
             break
+    note(backend, caller, "domain.upload", row.id, bytes=size)
     return row
 
 

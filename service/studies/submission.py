@@ -61,9 +61,8 @@ def submit_study(backend: Backend, caller: Caller, wanted: StudyIn, key: str | N
         ) from None
     if made:
         note(backend, caller, "study.create", study.id, points=len(points))
-        for point in study.points:
-            if point.design is not None:
-                backend.wakeups.send(point.design)
+        designs = [point.design for point in study.points if point.design is not None]
+        all(map(backend.wakeups.send, designs))  # to the first that fails: where the broker is away, the reaper sends
     return study
 
 
