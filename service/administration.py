@@ -27,7 +27,7 @@ keys = typer.Typer(
 Data = Annotated[
     Path | None,
     typer.Option(
-        "--data", help="Data folder of the service, as for dualms serve [DUALMS_DATA_DIR].", show_default=False
+        "--data", help="Data folder of the service, as for dualms serve (or DUALMS_DATA_DIR).", show_default=False
     ),
 ]
 
@@ -48,7 +48,7 @@ def create(
     owner: Annotated[str, typer.Argument(help="Whose designs the key reaches; several keys may have one owner.")],
     name: Annotated[str, typer.Option(help="For people, such as the program that uses it.")] = "",
     scopes: Annotated[str, typer.Option(help="read, write, admin; with commas between.")] = "read,write",
-    days: Annotated[float | None, typer.Option(help="Days until it expires [default: never].", min=0)] = None,
+    days: Annotated[float | None, typer.Option(help="Days until it expires (default: never).", min=0)] = None,
     max_live_designs: Annotated[int | None, typer.Option(help="Designs that have not ended, at once.", min=0)] = None,
     max_stored_bytes: Annotated[int | None, typer.Option(help="Bytes of domains and artifacts.", min=0)] = None,
     max_uploads_a_day: Annotated[int | None, typer.Option(help="Uploads in 24 hours.", min=0)] = None,

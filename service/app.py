@@ -11,7 +11,7 @@ from fastapi import Depends, FastAPI
 from prometheus_client import CollectorRegistry
 
 from dualms import __version__
-from service import problems, system
+from service import problems, reference, system
 from service.access import Access, guard
 from service.artifacts.endpoints import router as artifacts
 from service.backend import open_backend
@@ -59,6 +59,8 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
         summary="Two-fluid heat exchangers whose separating surface belongs to the envelope.",
         license_info={"name": "MIT", "identifier": "MIT"},
         lifespan=lifespan,
+        docs_url=None,  # FastAPI's pages load scripts from elsewhere
+        redoc_url=None,
     )
     app.state.registry = registry
     problems.install(app)
@@ -66,6 +68,7 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
     for router in (designs, artifacts, domains, studies):
         app.include_router(router, dependencies=[Depends(guard)], responses=refusals)
     app.include_router(system.router)
+    app.include_router(reference.router)
     describe(app)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
     app.add_middleware(Meter, registry=registry)

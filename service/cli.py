@@ -36,11 +36,11 @@ app = typer.Typer(
 out = Console()
 err = Console(stderr=True)
 
-DomainFile = Annotated[Path, typer.Argument(help="Envelope: STL, OBJ, PLY, OFF, GLB or 3MF.", show_default=False)]
+DomainFile = Annotated[Path, typer.Argument(help="Envelope: STL, OBJ, PLY, OFF, GLB, 3MF or STEP.", show_default=False)]
 SpecFile = Annotated[Path, typer.Argument(help="Specification: a JSON file.", show_default=False)]
 Data = Annotated[
     Path | None,
-    typer.Option("--data", help="Folder of the store, artifacts and logs [DUALMS_DATA_DIR].", show_default=False),
+    typer.Option("--data", help="Folder of the store, artifacts and logs (or DUALMS_DATA_DIR).", show_default=False),
 ]
 
 
@@ -90,7 +90,8 @@ def serve(
     port: Annotated[int, typer.Option(help="Port; 0 takes a free one.", min=0, max=65535)] = 8000,
     data: Data = None,
     queues: Annotated[
-        str | None, typer.Option(help="Queues of this machine's worker, such as cpu,gpu [default: asks the machine].")
+        str | None,
+        typer.Option(help="Queues of this machine's worker, such as cpu,gpu (default: what the machine has)."),
     ] = None,
     allow_remote_without_keys: Annotated[
         bool, typer.Option("--allow-remote-without-keys", help="Listen on an address that others reach.")

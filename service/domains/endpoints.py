@@ -25,9 +25,11 @@ DomainId = Annotated[str, Path(pattern="^[0-9a-f]{64}$", description="Id of a do
 def upload_domain(
     backend: BackendDep,
     response: Response,
-    file: Annotated[UploadFile, File(description="STL, OBJ, PLY, OFF, GLB or 3MF.")],
+    file: Annotated[UploadFile, File(description="STL, OBJ, PLY, OFF, GLB, 3MF or STEP.")],
     caller: CallerDep,
-    units: Annotated[Unit | None, Form(description="Needed where the format carries none (all but GLB, 3MF).")] = None,
+    units: Annotated[
+        Unit | None, Form(description="Needed where the format carries none (all but GLB, 3MF, STEP).")
+    ] = None,
 ) -> DomainOut:
     """Upload an envelope. The same bytes again give the same record."""
     row = receive_domain(backend, caller, file.file, file.filename or "", units)

@@ -405,6 +405,14 @@ def test_landing_page_shows_the_design_and_needs_no_other_host(served: Served, d
     assert 'src="http' not in page
 
 
+def test_reference_page_shows_every_call_and_needs_no_other_host(served: Served) -> None:
+    page = served.http.get("/docs").text
+    for path in served.http.get("/openapi.json").json()["paths"]:
+        assert f"<code>{path}</code>" in page
+    assert 'src="' not in page
+    assert "transverse_weight" in page
+
+
 def test_answers_are_the_ones_that_the_document_promises(served: Served, made: dict[str, Any]) -> None:
     assert set(made) == set(
         httpx.get(f"{served.url}/openapi.json").json()["components"]["schemas"]["DesignOut"]["properties"]

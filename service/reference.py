@@ -1,0 +1,104 @@
+"""The page /docs: the OpenAPI document for people, made here, so that it needs no other host."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+from jinja2 import Environment
+from markupsafe import Markup, escape
+
+router = APIRouter(include_in_schema=False)
+
+Json = dict[str, Any]
+
+
+@router.get("/docs", response_class=HTMLResponse)
+def reference(request: Request) -> str:
+    """The calls and the values that they take and give."""
+    return reference_page(json.dumps(request.app.openapi(), sort_keys=False))
+
+
+@cache
+def reference_page(document: str) -> str:
+    """The page for an OpenAPI document."""
+    api: Json = json.loads(document)
+    groups: dict[str, list[Json]] = {}
+    for path, item in api["paths"].items():
+        for method, call in item.items():
+            groups.setdefault(call["tags"][0], []).append(_call(path, method.upper(), call))
+    values = [_value(name, schema) for name, schema in sorted(api["components"]["schemas"].items())]
+    text = (Path(__file__).parent / "web" / "reference.html").read_text(encoding="utf-8")
+    return str(Environment(autoescape=True).from_string(text).render(api=api, groups=groups, values=values))
+
+
+def _call(path: str, method: str, call: Json) -> Json:
+    parameters = [
+        {"name": p["name"], "where": p["in"], "required": p.get("required", False), "type": _type(p["schema"]),
+         "text": p.get("description", "")}
+        for p in call.get("parameters", [])
+    ]  # fmt: skip
+    bodies = [
+        {"media": media, "type": _type(content["schema"]), "rows": _rows(content["schema"])}
+        for media, content in call.get("requestBody", {}).get("content", {}).items()
+    ]
+    answers = [
+        {"status": status, "text": answer["description"], "type": _types(answer.get("content", {}))}
+        for status, answer in sorted(call["responses"].items())
+    ]
+    text = call.get("description", call.get("summary", ""))
+    return {"id": call["operationId"], "path": path, "method": method, "text": text, "parameters": parameters,
+            "bodies": bodies, "answers": answers}  # fmt: skip
+
+
+def _value(name: str, schema: Json) -> Json:
+    choices = Markup(" · ").join(Markup("<code>{}</code>").format(c) for c in schema.get("enum", []))
+    return {"name": name, "text": schema.get("description", ""), "choices": choices, "rows": _rows(schema)}
+
+
+def _rows(schema: Json) -> list[Json]:
+    required = schema.get("required", [])
+    return [
+        {
+            "name": name,
+            "type": _type(field),
+            "required": name in required,
+            "default": json.dumps(field["default"]) if "default" in field else None,
+            "text": field.get("description", ""),
+        }
+        for name, field in schema.get("properties", {}).items()
+    ]
+
+
+def _types(content: Json) -> Markup:
+    return Markup(", ").join(
+        _type(c["schema"]) if c.get("schema") else Markup("<code>{}</code>").format(media)
+        for media, c in content.items()
+    )
+
+
+def _type(schema: Json) -> Markup:
+    """A schema in a few words, with links to named ones."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return Markup('<a href="#{0}">{0}</a>').format(name)
+    for union in ("anyOf", "oneOf"):
+        if union in schema:
+            return Markup(" or ").join(_type(s) for s in schema[union])
+    if "const" in schema:
+        return Markup("<code>{}</code>").format(json.dumps(schema["const"]))
+    if "enum" in schema:
+        return Markup(" or ").join(Markup("<code>{}</code>").format(json.dumps(e)) for e in schema["enum"])
+    if schema.get("type") == "array":
+        if "prefixItems" in schema:
+            return Markup("[{}]").format(Markup(", ").join(_type(s) for s in schema["prefixItems"]))
+        return Markup("list of {}").format(_type(schema.get("items", {})))
+    bounds = [f"{sign} {schema[key]:g}" for key, sign in _BOUNDS.items() if key in schema]
+    return escape(" ".join([schema.get("format") or schema.get("type", "anything"), *bounds]))
+
+
+_BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
