@@ -22,7 +22,7 @@ from sqlalchemy.orm import Session
 
 from dualms.spec import Spec
 from dualms.steps import INTERNAL, MEDIA_TYPES, Step, step_keys, steps_of
-from worker import tables, views
+from worker import tables, totals, views
 from worker.code import code_id
 from worker.database import Now
 from worker.failures import Failure, worker_lost
@@ -262,6 +262,9 @@ class Leases:
             if not kept:
                 return None
             self._add_files(session, lease, result)
+            totals.add(session, "stage", result.timings)
+            if reused:
+                totals.add(session, "reused", {lease.step: 0.0})
             return views.design_record(session.get_one(tables.Design, lease.id, populate_existing=True))
 
     def fail(self, lease: Lease, failure: Failure) -> bool:

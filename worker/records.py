@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from dualms.spec import Spec
 from dualms.steps import steps_of
-from worker import tables, views
+from worker import tables, totals, views
 from worker.database import Database, Now
 from worker.migrations import migrate
 from worker.outbox import record_ending
@@ -444,6 +444,9 @@ def end(
         return False
     session.execute(delete(tables.Event).where(tables.Event.design_id == design_id, tables.Event.kind == "progress"))
     record_ending(session, design_id, status)
+    totals.add(session, "ended", {status: 0.0})
+    if status == "failed":
+        totals.add(session, "failure", {str(data["error"]["code"]): 0.0})
     return True
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,3 +44,20 @@ def test_memory_and_time_are_limited(tmp_path: Path) -> None:
         inspect_upload(path, "x.stl", Unit.MM, Settings(inspection_memory_bytes=100 << 20))
     with pytest.raises(TooLarge, match="longer than"):
         inspect_upload(path, "x.stl", Unit.MM, Settings(inspection_seconds=0.1))
+
+
+def test_the_jail_has_no_network() -> None:
+    code = """
+import socket, sys
+from worker.jail import _leave_the_network
+_leave_the_network()
+if [name for _, name in socket.if_nameindex()] != ["lo"]:
+    sys.exit(77)
+with socket.socket() as s:
+    s.settimeout(1)
+    sys.exit(0 if s.connect_ex(("127.0.0.1", 9)) == 101 else 1)  # ENETUNREACH, not refused
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=False)
+    if done.returncode == 77:
+        pytest.skip("this kernel gives us no network namespace")
+    assert done.returncode == 0

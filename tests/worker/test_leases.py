@@ -10,9 +10,9 @@ from sqlalchemy import update
 
 from dualms.steps import step_keys
 from tests.worker.conftest import result_of, small_spec
-from worker import tables
+from worker import tables, totals
 from worker.failures import Failure
-from worker.leases import Lease, Leases
+from worker.leases import Lease, Leases, StepRecord
 from worker.records import DesignRecord, DomainRecord, NewDesign, Records
 
 STEPS = ("prepare", "solve", "build")
@@ -224,3 +224,21 @@ def test_an_update_of_the_code_starts_a_design_over(
     assert leases.start_over(lease, "updated") is not None
     again = claim(leases)
     assert (again.step, again.of_other_code) == ("prepare", False)
+
+
+def test_totals_count_what_happened(records: Records, leases: Leases, design: DesignRecord) -> None:
+    for step in STEPS:
+        leases.commit(claim(leases), result_of(step))
+    records.create_design(NewDesign(design.domain_id, small_spec()))
+    leases.commit(claim(leases), StepRecord((), {}, {}), reused=True)
+    leases.fail(claim(leases), Failure("worker-lost", "x"))
+    found = {(t.kind, t.name): (t.count, t.seconds) for t in totals.read(records.database)}
+    assert found == {
+        ("ended", "failed"): (1, 0.0),
+        ("ended", "succeeded"): (1, 0.0),
+        ("failure", "worker-lost"): (1, 0.0),
+        ("reused", "prepare"): (1, 0.0),
+        ("stage", "build"): (1, 0.5),
+        ("stage", "prepare"): (1, 0.5),
+        ("stage", "solve"): (1, 0.5),
+    }

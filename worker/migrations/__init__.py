@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sqlalchemy import Engine, inspect, text
 
-HEAD = "0003"
+HEAD = "0004"
 _LOCK = 7_011_874_523_117  # any number that nothing else in the database uses
 
 
