@@ -11,14 +11,12 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dualms import errors
+from dualms.inspection import Inspection
 from dualms.spec import Unit
 from worker.settings import Settings
-
-if TYPE_CHECKING:
-    from dualms.reading import Inspection
 
 _OUTPUT_LIMIT = 64 << 20
 
@@ -83,8 +81,6 @@ def _import_path() -> list[str]:
 
 
 def _result(done: subprocess.CompletedProcess[bytes], settings: Settings) -> Inspection:
-    from dualms.reading import Inspection
-
     answer: dict[str, Any] = {}
     if done.returncode == 0 and len(done.stdout) <= _OUTPUT_LIMIT:
         lines = done.stdout.splitlines()

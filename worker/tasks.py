@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from celery import Celery
 
-from dualms.spec import NeuralField, Spec
+from dualms.spec import DistilledField, NeuralField, Spec
 from worker.artifacts import ArtifactStore
 from worker.child import Limits, Outcome, Watch, run_child
 from worker.failures import GPU_OUT_OF_MEMORY, Failure, failure_of
@@ -174,7 +174,8 @@ class _Hold:
 def _failed(station: Station, lease: Lease, failure: Failure) -> DesignRecord | None:
     """Record a failure; a GPU that is too small gets a smaller batch first, once, and the record says so."""
     method = lease.spec.field
-    if failure.code == GPU_OUT_OF_MEMORY and isinstance(method, NeuralField) and "points" not in lease.hints:
+    trained = isinstance(method, NeuralField | DistilledField)
+    if failure.code == GPU_OUT_OF_MEMORY and trained and "points" not in lease.hints:
         points = max(method.points // 4, 64)
         smaller: Spec = lease.spec.model_copy(update={"field": method.model_copy(update={"points": points})})
         reason = f"the GPU's memory is too small for {method.points} points a step; again with {points}"
