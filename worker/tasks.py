@@ -174,8 +174,8 @@ class _Hold:
 def _failed(station: Station, lease: Lease, failure: Failure) -> DesignRecord | None:
     """Record a failure; a GPU that is too small gets a smaller batch first, once, and the record says so."""
     method = lease.spec.field
-    trained = isinstance(method, NeuralField | DistilledField)
-    if failure.code == GPU_OUT_OF_MEMORY and trained and "points" not in lease.hints:
+    too_small = failure.code == GPU_OUT_OF_MEMORY and "points" not in lease.hints
+    if too_small and isinstance(method, NeuralField | DistilledField):
         points = max(method.points // 4, 64)
         smaller: Spec = lease.spec.model_copy(update={"field": method.model_copy(update={"points": points})})
         reason = f"the GPU's memory is too small for {method.points} points a step; again with {points}"
