@@ -14,9 +14,9 @@ from pathlib import Path
 
 import cascadio
 import trimesh
-from pydantic import BaseModel, ConfigDict
 
 from dualms.errors import MissingUnits, TooLarge, UnreadableFile, UnsupportedFormat
+from dualms.inspection import FacetRecord, Inspection
 from dualms.mesh import DomainMesh
 from dualms.soundness import cleaned, refuse_unsound
 from dualms.spec import Unit
@@ -30,31 +30,6 @@ MAX_UNZIPPED_BYTES = 512 * 1024**2
 CARRIED_UNITS = {"m": Unit.M, "meter": Unit.M, "meters": Unit.M, "millimeter": Unit.MM, "millimeters": Unit.MM,
                  "mm": Unit.MM, "centimeter": Unit.CM, "centimeters": Unit.CM, "cm": Unit.CM, "inch": Unit.IN,
                  "inches": Unit.IN, "in": Unit.IN}  # fmt: skip
-
-
-class FacetRecord(BaseModel):
-    """A planar facet as clients see it, in the domain's units."""
-
-    model_config = ConfigDict(frozen=True)
-    index: int
-    center: tuple[float, float, float]
-    normal: tuple[float, float, float]
-    area: float
-
-
-class Inspection(BaseModel):
-    """What a domain file holds, in the domain's units."""
-
-    model_config = ConfigDict(frozen=True)
-    units: Unit
-    vertices: int
-    faces: int
-    bounds: tuple[tuple[float, float, float], tuple[float, float, float]]
-    volume: float
-    area: float
-    watertight: bool
-    facets: tuple[FacetRecord, ...]
-    problems: tuple[str, ...]
 
 
 def inspect_file(path: Path, units: Unit | None, max_faces: int = MAX_FACES, suffix: str | None = None) -> Inspection:

@@ -11,7 +11,7 @@ from rich.table import Table
 from service.doctor import Finding
 
 if TYPE_CHECKING:
-    from dualms.reading import Inspection
+    from dualms.inspection import Inspection
 
 _MARKS = {"good": "[green]✓[/green]", "missing": "[bold red]✗[/bold red]", "optional": "[yellow]–[/yellow]"}
 

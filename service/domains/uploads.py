@@ -12,6 +12,7 @@ from dualms.spec import Unit
 from service.access import Caller, note, within_quota
 from service.backend import Backend
 from worker.artifacts import put_file, read_chunks
+from worker.inspection import inspect_upload
 from worker.records import DomainRecord
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
@@ -40,8 +41,6 @@ def receive_domain(backend: Backend, caller: Caller, file: BinaryIO, filename: s
         if units is not None and (known := _known(backend, sha256, suffix, units, owner)) is not None:
             return known
         within_quota(backend, caller, stored=size, uploads=1)
-        from worker.inspection import inspect_upload
-
         inspection = inspect_upload(path, name, units, backend.worker_settings)
         put_file(backend.store, path)
     for domain_id in _ids(sha256, suffix, inspection.units, owner):
