@@ -49,26 +49,59 @@ def first_partition(graph: Graph, problem: Problem, seed: int) -> Labels:
     if (degree < LEAST_DEGREE).any():
         site = int(degree.argmin())
         raise InfeasiblePartition(
-            f"Site {site} at {np.round(graph.sites[site], 4).tolist()} has {degree[site]} neighbours; each needs "
-            f"{LEAST_DEGREE} on its own side.",
+            f"Site {site} ({_place(graph, site)}) has {degree[site]} neighbours; each needs {LEAST_DEGREE} on its own "
+            "side.",
             advice="Ask for more sites, or widen the domain there.",
             measured={"site": site, "degree": int(degree[site])},
         )
-    reason = "The graph has no split into two connected sides."
-    site = -1
+    reason, site = _separated(graph, problem)
+    fewest = len(degree)
     for attempt, labels in enumerate(_candidates(graph, problem, seed)):
         state = new_state(problem, labels)
         left = _repair(problem, state, seed + attempt, REPAIRS_PER_SITE * len(labels))
         broken = violations(graph, state.labels)
         if left == 0 and not broken and (state.size >= problem.least_size).all() and _openings_hold(problem, state):
             return np.asarray(state.labels)
-        site = int(np.argmin(state.same))
-        reason = f"The best first partition still breaks: {'; '.join(broken[:3]) or 'too few sites on one side'}."
+        if len(broken) < fewest:
+            fewest, site = len(broken), int(np.argmin(state.same))
+            what = "; ".join(broken[:3]) or "a fluid has too few sites"
+            reason = f"The best first partition still breaks: {what}. Worst is site {site} ({_place(graph, site)})."
     raise InfeasiblePartition(
         f"{reason} ({len(graph.sites)} sites, {int((graph.pins != 0).sum())} of them pinned to ports.)",
         advice="Ask for more sites, or move ports of different fluids apart.",
         measured={"sites": len(graph.sites), "site": site},
     )
+
+
+def _place(graph: Graph, site: int) -> str:
+    """Where a site is, in words: its coordinates over the domain's longest side, and the port next to it."""
+    where = f"at {np.round(graph.sites[site], 3).tolist()} of the longest side"
+    if not graph.ports:
+        return where
+    gaps = [float(np.linalg.norm(graph.sites[own] - graph.sites[site], axis=1).min()) for own in graph.ports]
+    return f"{where}, nearest port {_port_name(graph, int(np.argmin(gaps)))}"
+
+
+def _port_name(graph: Graph, port: int) -> str:
+    """Name of a port as everywhere: fluid, role, index among its like."""
+    alike = (graph.port_fluids == graph.port_fluids[port]) & (graph.port_inlets == graph.port_inlets[port])
+    fluid, role = (
+        ("hot" if graph.port_fluids[port] == 1 else "cold"),
+        ("inlet" if graph.port_inlets[port] else "outlet"),
+    )
+    return f"{fluid}-{role}-{int(alike[:port].sum())}"
+
+
+def _separated(graph: Graph, problem: Problem) -> tuple[str, int]:
+    """Why no two disjoint trees were found, and a site that a fluid cannot reach (or -1)."""
+    for side, name in ((1, "hot"), (-1, "cold")):
+        wanted = np.flatnonzero(graph.pins == side)
+        for site in wanted[1:].tolist():
+            if _path(problem, {int(wanted[0])}, {site}, np.ones(len(graph.sites)), graph.pins, side) is None:
+                first = int(wanted[0])
+                ends = f"site {first} ({_place(graph, first)}) to site {site} ({_place(graph, site)})"
+                return f"The {name} fluid cannot get from {ends}: the other fluid's ports wall it off.", site
+    return "The two fluids' ways between their ports block each other.", -1
 
 
 def _openings_hold(problem: Problem, state) -> bool:  # type: ignore[no-untyped-def]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -121,10 +123,16 @@ def test_ports_that_wall_each_other_off_are_refused() -> None:
     pins = np.zeros(2 * rungs, dtype=np.int8)
     pins[[0, 1, 14, 15]] = 1
     pins[[6, 7]] = -1
-    graph = bare_graph(sites, edges, np.ones(len(edges)), pins)
-    with pytest.raises(InfeasiblePartition) as caught:
+    graph = replace(
+        bare_graph(sites, edges, np.ones(len(edges)), pins),
+        ports=tuple(np.array(own) for own in ([0, 1], [14, 15], [6], [7])),
+        port_fluids=np.array([1, 1, -1, -1], dtype=np.int8),
+        port_inlets=np.array([True, False, True, False]),
+    )
+    with pytest.raises(InfeasiblePartition, match=r"site 0 .*hot-inlet-0.* site 14 .*hot-outlet-0") as caught:
         max_cut(graph, QUICK, 0)
     assert caught.value.advice
+    assert caught.value.measured["site"] == 14
 
 
 @pytest.mark.parametrize("ports", ["none", "dedicated", "shared"])
