@@ -3,6 +3,7 @@
     python benchmarks/field.py classical                       P, G, D, I-WP from their skeletons, against exact areas
     python benchmarks/field.py control DOMAIN SPEC             equidistant to minimal in one envelope
     python benchmarks/field.py compare DOMAIN SPEC             phase field, neural and distilled in one envelope
+    python benchmarks/field.py ablate DOMAIN SPEC              the paper's ablations with the network, at a CPU's budget
     python benchmarks/field.py step                            one training step, ours and a straightforward one
     python benchmarks/field.py growth DOMAIN SPEC              time and memory at grids 64, 96, 128, 192, 256
 
@@ -57,7 +58,7 @@ Row = dict[str, Any]
 def main() -> int:
     """Run one mode."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("mode", choices=["classical", "control", "compare", "step", "growth"])
+    parser.add_argument("mode", choices=list(MODES))
     parser.add_argument("domain", nargs="?", type=Path)
     parser.add_argument("spec", nargs="?", type=Path)
     parser.add_argument("--grid", type=int, default=128)
@@ -66,15 +67,13 @@ def main() -> int:
     parser.add_argument("--points", type=int, default=4096)
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    rows = {"classical": classical, "control": control, "compare": compare, "step": step, "growth": growth}[given.mode](
-        given
-    )
+    rows = MODES[given.mode](given)
     if given.one is None:
         show(rows)
         RESULTS.mkdir(parents=True, exist_ok=True)
         machine = {"machine": platform.machine(), "cores": os.cpu_count(), "load": round(os.getloadavg()[0], 1)}
         path = RESULTS / f"{given.mode}.json"
-        path.write_text(json.dumps({"command": sys.argv[1:], **machine, "rows": rows}, indent=1) + "\n")
+        path.write_text(json.dumps({"command": [Path(a).name for a in sys.argv[1:]], **machine, "rows": rows}, indent=1) + "\n")
     return 0
 
 
@@ -131,6 +130,25 @@ def compare(given: argparse.Namespace) -> list[Row]:
     ]
 
 
+def ablate(given: argparse.Namespace) -> list[Row]:
+    """Smoothness loss off; noise 0, 0.05, 0.08; weight a of transverse edges 1 and 5 (paper, section 6.1, appendix)."""
+    spec = Spec.model_validate_json(given.spec.read_text())
+    rows = []
+    for name, weight, changes in (
+        ("as published", 5.0, {}),
+        ("a = 1", 1.0, {}),
+        ("no smoothness loss", 5.0, {"smoothness_weight": 0.0}),
+        ("noise 0", 5.0, {"noise_std": 0.0}),
+        ("noise 0.05", 5.0, {"noise_std": 0.05}),
+        ("noise 0.08", 5.0, {"noise_std": 0.08}),
+    ):
+        graph = spec.graph.model_copy(update={"transverse_weight": weight})
+        case = prepared(given, spec.model_copy(update={"graph": graph}))
+        method = NeuralField.model_validate({"method": "neural", "preset": "cpu", "connect": False, **changes})
+        rows.append(told({"ablation": name, **figures(case, method)}))
+    return rows
+
+
 def step(given: argparse.Namespace) -> list[Row]:
     """Seconds of one step at the same batch; the straightforward one differentiates twice."""
     import torch
@@ -184,9 +202,9 @@ def growth(given: argparse.Namespace) -> list[Row]:
     return rows
 
 
-def prepared(given: argparse.Namespace) -> SimpleNamespace:
+def prepared(given: argparse.Namespace, spec: Spec | None = None) -> SimpleNamespace:
     """Domain, skeletons and number of sites of a specification."""
-    spec = Spec.model_validate_json(given.spec.read_text())
+    spec = spec or Spec.model_validate_json(given.spec.read_text())
     mesh = read_domain_mesh(given.domain, spec.units)
     units: Unit = spec.units or mesh.units
     domain = Domain.from_mesh(mesh, resolve_ports(mesh, spec.fluids, units))
@@ -314,6 +332,16 @@ def show(rows: list[Row]) -> None:
 
 def _text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else "-" if value is None else str(value)
+
+
+MODES: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
+    "classical": classical,
+    "control": control,
+    "compare": compare,
+    "ablate": ablate,
+    "step": step,
+    "growth": growth,
+}
 
 
 if __name__ == "__main__":
