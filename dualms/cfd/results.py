@@ -50,7 +50,10 @@ class ExchangerFigures(Model):
     duty_w: float = Field(description="Heat from hot to cold.")
     effectiveness: float = Field(description="Duty over what an ideal counter-flow exchanger would reach.")
     ntu: float = Field(description="UA over the smaller capacity rate.")
-    ua_w_k: float = Field(description="UA of the counter-flow exchanger of the same duty: bad distribution lowers it.")
+    ua_w_k: float = Field(
+        description="UA of the counter-flow exchanger of the same duty. Where thermal layers are thinner than a voxel (oils: always "
+        "in quick mode) it grows with 1/voxel and compares exchanging areas, not the flow's effect on heat transfer."
+    )
     pressure_drop_pa: float = Field(description="Mean of the two fluids.")
     pumping_power_w: float = Field(description="Sum of the two fluids.")
     wall_area_m2: float = Field(description="Exchanging area, mean of the two sides of the wall.")
