@@ -10,83 +10,24 @@ fewest running designs, then age. So a lost, repeated or reordered message chang
 from __future__ import annotations
 
 import contextlib
-import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any, cast
+from typing import Any
 
 from sqlalchemy import delete, func, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from dualms.spec import Spec
-from dualms.steps import INTERNAL, MEDIA_TYPES, Step, step_keys, steps_of
+from dualms.steps import INTERNAL, MEDIA_TYPES, Step, steps_of
 from worker import tables, totals, views
 from worker.code import code_id
 from worker.database import Now
 from worker.failures import Failure, worker_lost
+from worker.lease import FileRecord, Lease, StepRecord, files_from
 from worker.records import Records, change, end, live_queues
 from worker.routing import queue_of
-from worker.views import ArtifactRecord, DesignRecord, DomainRecord
+from worker.views import DesignRecord
 from worker.weights import progress_of
-
-
-@dataclass(frozen=True)
-class FileRecord:
-    """A file that a step has left in the store."""
-
-    name: str
-    sha256: str
-    size: int
-
-
-@dataclass(frozen=True)
-class StepRecord:
-    """What a step has produced: files, figures of the report, seconds per stage."""
-
-    files: tuple[FileRecord, ...]
-    metrics: dict[str, Any]
-    timings: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Lease:
-    """The right to carry out one step of one design, as long as it is renewed."""
-
-    design: DesignRecord
-    domain: DomainRecord
-    attempt: int
-    worker_id: str
-    inputs: tuple[ArtifactRecord, ...]
-    checkpoint: dict[str, Any] | None
-    hints: dict[str, Any]
-
-    @property
-    def id(self) -> str:
-        """Id of the design."""
-        return self.design.id
-
-    @property
-    def step(self) -> Step:
-        """The step."""
-        return cast("Step", self.design.step)
-
-    @property
-    def spec(self) -> Spec:
-        """The design's specification."""
-        return Spec.model_validate(self.design.spec)
-
-    @property
-    def of_other_code(self) -> bool:
-        """Whether the earlier steps were carried out by other code, whose files this one may not understand."""
-        return bool(self.hints.get("code", code_id()) != code_id())
-
-    @property
-    def key(self) -> str:
-        """Cache key of the step's result, by this code."""
-        text = f"{code_id()} {step_keys(self.domain.sha256, self.spec)[self.step]}"
-        return hashlib.sha256(text.encode()).hexdigest()
 
 
 class Leases:
@@ -411,6 +352,4 @@ def _is_neural(spec: Spec) -> bool:
     return spec.field.method not in ("auto", "phase-field")
 
 
-def files_from(items: Sequence[Mapping[str, Any]]) -> tuple[FileRecord, ...]:
-    """File records from a step's outcome."""
-    return tuple(FileRecord(str(i["name"]), str(i["sha256"]), int(i["size"])) for i in items)
+__all__ = ["FileRecord", "Lease", "Leases", "StepRecord", "files_from"]

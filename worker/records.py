@@ -6,21 +6,15 @@ threads. Every visible change of a design gives it a new version and one event o
 
 from __future__ import annotations
 
-import secrets
-import time
-from dataclasses import dataclass
 from typing import Any, cast
 
-from sqlalchemy import and_, delete, func, select, update
+from sqlalchemy import and_, delete, func, select
 from sqlalchemy.orm import Session
 
-from dualms.spec import Spec
-from dualms.steps import steps_of
-from worker import tables, totals, views
-from worker.database import Database, Now
+from worker import tables, views
+from worker.database import Database
 from worker.migrations import migrate
-from worker.outbox import record_ending
-from worker.routing import queue_of
+from worker.rows import NewDesign, add_design, change, end, id_at, live_queues, moment, new_id
 from worker.settings import Settings
 from worker.views import (
     ArtifactRecord,
@@ -32,21 +26,6 @@ from worker.views import (
     Status,
     WorkerRecord,
 )
-
-
-@dataclass(frozen=True)
-class NewDesign:
-    """A design to record; ``spec`` must be resolved (no ``auto``, units filled in)."""
-
-    domain_id: str
-    spec: Spec
-    name: str | None = None
-    labels: tuple[str, ...] = ()
-    webhook: str | None = None
-    deadline_s: float | None = None
-    owner: str | None = None
-    study_id: str | None = None
-    priority: int = 0
 
 
 class IdempotencyConflict(Exception):
@@ -116,7 +95,7 @@ class Records:
                     units=units,
                     inspection=inspection,
                     owner=owner,
-                    created_at=_now(session),
+                    created_at=moment(session),
                 )
                 session.add(row)
                 session.flush()
@@ -158,7 +137,7 @@ class Records:
         """
         owner = new.owner or ""
         with self.database.write() as session:
-            now = _now(session)
+            now = moment(session)
             if idempotency is not None:
                 known = session.get(tables.IdempotencyKey, (owner, idempotency[0]), with_for_update=True)
                 if known is not None and known.created_at < now - self.settings.idempotency_days * 86400:
@@ -220,9 +199,9 @@ class Records:
             query = query.where(d.status == status)
         # Ids begin with the time of their maker's clock: a day either side is generous, and lets the index do the rest.
         if created_after is not None:
-            query = query.where(d.created_at >= created_after, order >= _id_at(created_after - 86400))
+            query = query.where(d.created_at >= created_after, order >= id_at(created_after - 86400))
         if created_before is not None:
-            query = query.where(d.created_at < created_before, order < _id_at(created_before + 86400))
+            query = query.where(d.created_at < created_before, order < id_at(created_before + 86400))
         if owner is not None:
             query = query.where(d.owner == owner)
         if study_id is not None:
@@ -293,7 +272,7 @@ class Records:
     def workers(self) -> tuple[WorkerRecord, ...]:
         """All registered workers; ``alive`` where the last heartbeat is younger than ``worker_gone_s``."""
         with self.database.read() as session:
-            now = _now(session)
+            now = moment(session)
             rows = session.scalars(select(tables.Worker).order_by(tables.Worker.started_at)).all()
             return tuple(views.worker_record(r, now - r.heartbeat_at < self.settings.worker_gone_s) for r in rows)
 
@@ -306,7 +285,7 @@ class Records:
         """What waits and runs on each queue."""
         d = tables.Design
         with self.database.read() as session:
-            now = _now(session)
+            now = moment(session)
             waits = and_(d.status.in_(views.LIVE), d.lease_until.is_(None))
             runs = and_(d.status == "running", d.lease_until.is_not(None))
             counts = {
@@ -339,135 +318,6 @@ class Records:
 
     def _live_queues(self, session: Session) -> frozenset[str]:
         return live_queues(session, self.settings.worker_gone_s)
-
-
-def new_id() -> str:
-    """32 hexadecimal digits that sort by time (to the millisecond), random after that."""
-    return _id_at(time.time()) + secrets.token_hex(10)
-
-
-def _id_at(seconds: float) -> str:
-    """The first 12 digits of the ids that are made at a time."""
-    return f"{min(max(int(seconds * 1000), 0), 16**12 - 1):012x}"
-
-
-def add_design(session: Session, new: NewDesign, design_id: str, now: float, live: frozenset[str]) -> tables.Design:
-    """Write the rows of a queued design.
-
-    Parameters
-    ----------
-    session
-        One that writes.
-    new, design_id
-        What to make, and its id.
-    now
-        Seconds since 1970 by the database's clock.
-    live
-        Queues that some worker serves.
-    """
-    step = steps_of(new.spec)[0]
-    row = tables.Design(
-        id=design_id,
-        domain_id=new.domain_id,
-        spec=new.spec.model_dump(mode="json"),
-        name=new.name,
-        labels=list(new.labels),
-        webhook=new.webhook,
-        owner=new.owner,
-        study_id=new.study_id,
-        priority=new.priority,
-        status="queued",
-        step=step,
-        queue=queue_of(step, new.spec, live),
-        stage=None,
-        progress=0.0,
-        note="",
-        attempt=0,
-        tries=0,
-        lease_until=None,
-        worker_id=None,
-        dispatched_at=now,
-        waiting_since=now,
-        created_at=now,
-        started_at=None,
-        finished_at=None,
-        deadline_at=now + new.deadline_s if new.deadline_s is not None else None,
-        timings={},
-        metrics={},
-        error=None,
-        checkpoint=None,
-        hints={},
-        version=1,
-    )
-    session.add(row)
-    session.flush()
-    session.add_all(tables.DesignLabel(label=label, design_id=row.id) for label in sorted(set(new.labels)))
-    session.add(tables.Event(design_id=row.id, sequence=1, kind="queued", data={}, created_at=now))
-    return row
-
-
-def live_queues(session: Session, gone_s: float) -> frozenset[str]:
-    """Queues with a worker that has shown signs of life within ``gone_s``."""
-    w = tables.Worker
-    return frozenset(session.scalars(select(w.queue).where(w.heartbeat_at > Now() - gone_s, w.draining.is_(False))))
-
-
-def end(
-    session: Session, design_id: str, status: Status, data: dict[str, Any], *conditions: Any, **values: Any
-) -> bool:
-    """Bring a design that has not ended to its final status, with one event; the only way to end one.
-
-    Parameters
-    ----------
-    session
-        One that writes.
-    design_id, status, data
-        Which design, how it ended, what the event says.
-    conditions
-        Further conditions on the row, such as the fence.
-    values
-        Further columns to set.
-
-    Returns
-    -------
-    bool
-        False if the design had ended before, or a condition does not hold; then nothing was written.
-    """
-    values = {
-        "status": status,
-        "finished_at": Now(),
-        "lease_until": None,
-        "worker_id": None,
-        "checkpoint": None,
-    } | values
-    if not change(session, design_id, status, data, *conditions, attempt=tables.Design.attempt + 1, **values):
-        return False
-    session.execute(delete(tables.Event).where(tables.Event.design_id == design_id, tables.Event.kind == "progress"))
-    record_ending(session, design_id, status)
-    totals.add(session, "ended", {status: 0.0})
-    if status == "failed":
-        totals.add(session, "failure", {str(data["error"]["code"]): 0.0})
-    return True
-
-
-def change(session: Session, design_id: str, kind: str, data: dict[str, Any], *conditions: Any, **values: Any) -> bool:
-    """Write columns of a design that has not ended, and the event that says so; False if a condition does not hold."""
-    d = tables.Design
-    version = session.execute(
-        update(d)
-        .where(d.id == design_id, d.status.in_(views.LIVE), *conditions)
-        .values(version=d.version + 1, **values)
-        .returning(d.version)
-        .execution_options(synchronize_session=False)
-    ).scalar_one_or_none()
-    if version is None:
-        return False
-    session.add(tables.Event(design_id=design_id, sequence=version, kind=kind, data=data, created_at=_now(session)))
-    return True
-
-
-def _now(session: Session) -> float:
-    return session.execute(select(Now())).scalar_one()
 
 
 __all__ = [

@@ -29,7 +29,7 @@ class Settings(BaseSettings):
     upload_bytes: int = Field(500_000_000, gt=0, description="Largest domain file.")
     max_faces: int = Field(2_000_000, gt=0, description="Most triangles of a domain.")
     inspection_memory_bytes: int = Field(3 * GIB // 2, gt=0, description="Address space of the child that reads one.")
-    inspection_seconds: float = Field(30.0, gt=0, description="Wall and CPU time of that child.")
+    inspection_seconds: float = Field(30.0, gt=0, description="CPU time of that child; wall time: four times this.")
 
     step_memory_bytes: int = Field(12 * GIB, gt=0, description="Resident memory of one step, all its processes.")
     step_seconds: float = Field(6 * 3600.0, gt=0, description="Wall time of one step.")

@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 
 from worker.artifacts import (
     ArtifactStore,
-    FolderStore,
     MissingBlob,
-    ObjectStore,
     StoreFull,
     TooManyBytes,
     fetch,
     open_store,
 )
+from worker.folder_store import FolderStore
 from worker.garbage import collect
 from worker.leases import FileRecord, Leases, StepRecord
+from worker.object_store import ObjectStore
 from worker.records import DesignRecord, Records
 from worker.settings import Settings
 

@@ -217,7 +217,7 @@ def test_an_update_of_the_code_starts_a_design_over(
     key = same.key
     assert not same.of_other_code
     leases.hand_back(same, "x", counts=False)
-    monkeypatch.setattr("worker.leases.code_id", lambda: "99")
+    monkeypatch.setattr("worker.lease.code_id", lambda: "99")
     lease = claim(leases)
     assert lease.of_other_code
     assert lease.key != key
