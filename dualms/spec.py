@@ -220,7 +220,9 @@ class PhaseField(Model):
     """A diffuse-interface flow from the equidistant surface (ours; ends in seconds on a CPU)."""
 
     method: Literal["phase-field"]
-    resolution: int = Field(128, ge=24, le=512, description="Voxels along the longest side. Ours.")
+    resolution: int = Field(
+        128, ge=24, le=512, description="Voxels along the longest side; raised where sites are too dense. Ours."
+    )
     minimality: float = Field(
         0.5, ge=0, le=1, description="0: equidistant surface; 0.5: diffused; 1: minimal surface (H → 0). Ours."
     )

@@ -26,14 +26,16 @@ COARSEST_OVER_GAP = 0.135
 """Coarsest voxel over the gap: above, the interfaces of neighbouring channels feel each other."""
 REFINEMENT = 4 / 3
 LEAST_RESOLUTION = 32
+FINEST = 512
 COARSEST_ITERATIONS = 300
 _PIN = np.float32(0.005)
 
 
 def levels(resolution: int, gap: float) -> list[int]:
-    """Resolutions from coarse to fine, ending at ``resolution``, as coarse as the gap allows."""
-    found = [resolution]
-    while found[0] / REFINEMENT >= max(LEAST_RESOLUTION, 1 / (COARSEST_OVER_GAP * gap)):
+    """Resolutions, coarse to fine, the first as coarse as the gap allows, the last ``resolution`` or what resolves it."""
+    coarsest = 1 / (COARSEST_OVER_GAP * gap)
+    found = [max(resolution, min(math.ceil(coarsest), FINEST))]
+    while found[0] / REFINEMENT >= max(LEAST_RESOLUTION, coarsest):
         found.insert(0, round(found[0] / REFINEMENT))
     return found
 

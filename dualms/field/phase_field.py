@@ -22,6 +22,8 @@ from dualms.skeletons import Skeletons
 
 DIFFUSED = 0.5
 """The minimality at which the diffusion is complete."""
+LEAST_VOXELS_A_GAP = 6
+"""Below, channels break at the grid: a coarser resolution is raised."""
 _COLUMNS = ("iteration", "resolution", "phase", "energy", "kept_voxels")
 
 
@@ -37,7 +39,7 @@ def solve_phase_field(
     skeletons
         Samples ``hot`` and ``cold``.
     resolution
-        Voxels along one unit.
+        Voxels along one unit; raised where the skeletons are too dense for it, and not used up where they are sparse.
     minimality
         0: the equidistant surface; 0.5: diffused; 1: a minimal surface.
     progress
@@ -65,7 +67,9 @@ def solve_phase_field(
     share = max(0.0, 2 * minimality - 1)
     resolutions = minimal.levels(resolution, gap) if share > 0 else []
     # Finer than its interface the diffusion gains nothing, and splines refine its result as well.
-    first = resolutions[0] if resolutions else min(resolution, math.ceil(INTERFACE_VOXELS / (INTERFACE_OVER_GAP * gap)))
+    enough = math.ceil(INTERFACE_VOXELS / (INTERFACE_OVER_GAP * gap))
+    least = min(math.ceil(LEAST_VOXELS_A_GAP / gap), minimal.FINEST)
+    first = resolutions[0] if resolutions else min(max(resolution, least), enough)
     counts = minimal.iterations(len(resolutions), share)
     log = _Log(progress, [30 * 12 * first**3, *(60 * n * r**3 for n, r in zip(counts, resolutions, strict=True))])
     lattice = Lattice.of(domain, skeletons, first)
