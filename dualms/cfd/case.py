@@ -60,14 +60,6 @@ class FlowControl:
             raise ValueError("the envelope is noSlip or slip")
 
 
-@dataclass(frozen=True)
-class Start:
-    """Values to start from: velocity (N, 3) in m/s and kinematic pressure (N,) in m²/s²."""
-
-    velocity: Array
-    pressure: Array
-
-
 def inlet_velocity(mesh: ChannelMesh, volume_flow_m3_s: float) -> Array:
     """(K, 3) velocity of the inlet faces: against the ports' normals, at the one speed that carries the flow."""
     outward = STEPS[mesh.direction[mesh.patch("inlet")]]
@@ -75,10 +67,8 @@ def inlet_velocity(mesh: ChannelMesh, volume_flow_m3_s: float) -> Array:
     return np.asarray(-mesh.inlet_normals * (volume_flow_m3_s / projected))
 
 
-def write_case(
-    folder: Path, mesh: ChannelMesh, fluid: FluidSpec, control: FlowControl, start: Start | None = None
-) -> None:
-    """Write a case that ``simpleFoam`` runs.
+def write_case(folder: Path, mesh: ChannelMesh, fluid: FluidSpec, control: FlowControl) -> None:
+    """Write a case that ``simpleFoam`` runs, starting from rest.
 
     Parameters
     ----------
@@ -90,8 +80,6 @@ def write_case(
         Its properties and mass flow.
     control
         Iteration limits and schemes.
-    start
-        Rest if None.
     """
     for name in ("constant/polyMesh", "system", "0"):
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -120,8 +108,8 @@ def write_case(
         "wall": slope,
         "envelope": slope,
     }
-    write_field(folder / "0" / "U", None if start is None else start.velocity, speeds)
-    write_field(folder / "0" / "p", None if start is None else start.pressure, pressures)
+    write_field(folder / "0" / "U", None, speeds)
+    write_field(folder / "0" / "p", None, pressures)
 
 
 def _write_mesh(folder: Path, mesh: ChannelMesh) -> None:

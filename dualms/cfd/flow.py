@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dualms.cfd.case import STOP_FILE, FlowControl, Start, write_case
+from dualms.cfd.case import STOP_FILE, FlowControl, write_case
 from dualms.cfd.foamfile import read_field
 from dualms.cfd.mesh import PATCHES, ChannelMesh
 from dualms.cfd.openfoam import OpenFoam
@@ -83,7 +83,6 @@ def solve_flow(
     folder: Path,
     control: FlowControl,
     report: Callable[[float, str], None] = lambda fraction, note: None,
-    start: Start | None = None,
 ) -> FlowSolution:
     """Solve the flow; on divergence once more by first-order upwind from rest.
 
@@ -97,8 +96,6 @@ def solve_flow(
         Limits and schemes.
     report
         Called with the done fraction and a note; what it raises stops the solver.
-    start
-        Values to start from.
 
     Raises
     ------
@@ -107,11 +104,11 @@ def solve_flow(
     """
     robust = replace(control, scheme="upwind", velocity_relaxation=0.7, pressure_relaxation=0.7)
     try:
-        return _attempt(foam, mesh, fluid, folder, control, report, start, ())
+        return _attempt(foam, mesh, fluid, folder, control, report, ())
     except _Diverged as first:
         note = f"The flow diverged with {control.scheme} ({first}); solved by upwind instead."
     try:
-        return _attempt(foam, mesh, fluid, folder.with_name(folder.name + "-upwind"), robust, report, None, (note,))
+        return _attempt(foam, mesh, fluid, folder.with_name(folder.name + "-upwind"), robust, report, (note,))
     except _Diverged as second:
         raise EvaluationFailed(
             f"The flow on {len(mesh.cells)} cells diverged, with the robust scheme too ({second}).",
@@ -142,11 +139,10 @@ def _attempt(
     folder: Path,
     control: FlowControl,
     report: Callable[[float, str], None],
-    start: Start | None,
     notes: tuple[str, ...],
 ) -> FlowSolution:
     shutil.rmtree(folder, ignore_errors=True)
-    write_case(folder, mesh, fluid, control, start)
+    write_case(folder, mesh, fluid, control)
     history: list[float] = []
     residuals: dict[str, float] = {}
     states: list[str] = []
