@@ -92,7 +92,8 @@ def _block_bound(graph: Graph, block: NDArray[np.int64], fixed: NDArray[np.int8]
         return trivial
     multipliers = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
     rest = weights - matrix.T @ multipliers
-    return min(trivial, float(right @ multipliers + np.maximum(rest * high, rest * low).sum()))
+    # Sums by NumPy, not BLAS, whose last digit depends on the number of threads.
+    return min(trivial, float((right * multipliers).sum() + np.maximum(rest * high, rest * low).sum()))
 
 
 def _blocks(graph: Graph) -> list[NDArray[np.int64]]:
