@@ -58,7 +58,7 @@ Row = dict[str, Any]
 def main() -> int:
     """Run one mode."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("mode", choices=list(MODES))
+    parser.add_argument("mode", choices=list(MODES), nargs="?", default="classical")
     parser.add_argument("domain", nargs="?", type=Path)
     parser.add_argument("spec", nargs="?", type=Path)
     parser.add_argument("--grid", type=int, default=128)
@@ -73,7 +73,9 @@ def main() -> int:
         RESULTS.mkdir(parents=True, exist_ok=True)
         machine = {"machine": platform.machine(), "cores": os.cpu_count(), "load": round(os.getloadavg()[0], 1)}
         path = RESULTS / f"{given.mode}.json"
-        path.write_text(json.dumps({"command": [Path(a).name for a in sys.argv[1:]], **machine, "rows": rows}, indent=1) + "\n")
+        path.write_text(
+            json.dumps({"command": [Path(a).name for a in sys.argv[1:]], **machine, "rows": rows}, indent=1) + "\n"
+        )
     return 0
 
 

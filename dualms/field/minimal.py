@@ -32,7 +32,7 @@ _PIN = np.float32(0.005)
 
 
 def levels(resolution: int, gap: float) -> list[int]:
-    """Resolutions, coarse to fine, the first as coarse as the gap allows, the last ``resolution`` or what resolves it."""
+    """Resolutions, coarse to fine: from the coarsest that resolves the gap to ``resolution``, or to it alone."""
     coarsest = 1 / (COARSEST_OVER_GAP * gap)
     found = [max(resolution, min(math.ceil(coarsest), FINEST))]
     while found[0] / REFINEMENT >= max(LEAST_RESOLUTION, coarsest):
