@@ -22,7 +22,7 @@ serve: install
 	$(BIN)/dualms serve
 
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # Everything that this machine can run: slow tests, and those that need OpenFOAM or Chromium where they are installed.
 test-all: install
@@ -33,7 +33,7 @@ check: install
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 format: install
 	$(BIN)/ruff format .
