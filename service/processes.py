@@ -64,16 +64,7 @@ class Child:
         """Start it, in a session of its own so that a terminal's Ctrl-C reaches only the parent."""
         with self.log.open("ab") as out:
             self.process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-S",
-                    "-E",
-                    "-c",
-                    _WITH_PARENT,
-                    str(os.getpid()),
-                    str(int(self.stop_signal)),
-                    *self.command,
-                ],
+                with_parent(self.command, self.stop_signal),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,
@@ -130,6 +121,11 @@ class Child:
             return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
+
+
+def with_parent(command: Sequence[str], number: signal.Signals = signal.SIGTERM) -> list[str]:
+    """The command, wrapped so that it gets a signal when the thread that starts it ends (Linux)."""
+    return [sys.executable, "-S", "-E", "-c", _WITH_PARENT, str(os.getpid()), str(int(number)), *command]
 
 
 def _family(pid: int) -> list[psutil.Process]:

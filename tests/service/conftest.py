@@ -18,6 +18,8 @@ import psutil
 import pytest
 import trimesh
 
+from service.processes import with_parent
+
 START_S = 30.0
 
 
@@ -36,8 +38,9 @@ class Served:
         self.console = data.parent / f"{data.name}-console.log"
         own = {k: v for k, v in os.environ.items() if not k.startswith("DUALMS_")}
         with self.console.open("wb") as out:
+            serve = [sys.executable, "-m", "service.cli", "serve", "--port", "0", "--data", str(data), *options]
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "service.cli", "serve", "--port", "0", "--data", str(data), *options],
+                with_parent(serve),  # a test run that is killed leaves no service behind
                 stdout=out,
                 stderr=subprocess.STDOUT,
                 env={**own, "OMP_NUM_THREADS": "1", "COLUMNS": "200", **(env or {})},
