@@ -44,7 +44,7 @@ from dualms.ports import resolve_ports
 from dualms.progress import Silent
 from dualms.reading import read_domain_mesh
 from dualms.skeletons import Skeletons, skeletons
-from dualms.spec import DistilledField, NeuralField, PhaseField, Spec, Unit
+from dualms.spec import DistilledField, GraphSpec, NeuralField, PhaseField, Spec, Unit
 
 RESULTS = Path(__file__).parent / "results" / "field"
 EXACT_AREA = {"P": 2.3451028840, "G": 3.0914437988, "D": 3.8377847135, "I-WP": 2 * math.sqrt(3)}
@@ -144,7 +144,7 @@ def ablate(given: argparse.Namespace) -> list[Row]:
         ("noise 0.05", 5.0, {"noise_std": 0.05}),
         ("noise 0.08", 5.0, {"noise_std": 0.08}),
     ):
-        graph = spec.graph.model_copy(update={"transverse_weight": weight})
+        graph = GraphSpec(preset="paper", sites=spec.graph.sites, transverse_weight=weight)
         case = prepared(given, spec.model_copy(update={"graph": graph}))
         method = NeuralField.model_validate({"method": "neural", "preset": "cpu", "connect": False, **changes})
         rows.append(told({"ablation": name, **figures(case, method)}))
