@@ -75,7 +75,8 @@ def test_mirror_and_rotation_change_nothing_and_balances_close(foam, tmp_path) -
 
 
 @pytest.mark.cfd
-def test_a_gyroid_against_itself_is_a_draw(foam, tmp_path) -> None:
+def test_a_gyroid_against_itself_is_a_draw(foam, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("dualms.cfd.pictures.SIZE", (240, 160))
     domain, fluids = box_design(BOX, True)
     spec = EvaluationSpec(resolution=40, iterations=100, baselines=("gyroid",), match="ua", keep_case=True)
     grid = domain.grid(64, 4)
