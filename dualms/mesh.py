@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 PLANAR_RADIANS = 0.01  # neighbours of a facet differ by less; a curved part that slips in fails the plane fit
 SHARP_RADIANS = 0.35  # 20°: more than between the strips of a cylinder of 18 sides
+LARGE = 0.02  # of the whole area: a facet even where its border is rounded
 MAX_FACETS = 64
 
 
@@ -66,9 +67,9 @@ class DomainMesh:
 
     @cached_property
     def facets(self) -> tuple[Facet, ...]:
-        """Planar facets bounded mostly by sharp edges, of more than 0.1 % of the area, largest first (at most 64).
+        """Planar facets of more than 0.1 % of the area with sharp borders, or of more than 2 %, largest first (≤ 64).
 
-        Strips of a tessellated cylinder are planar too; their smooth borders tell them apart.
+        Strips of a tessellated cylinder are planar too; their smooth borders and small areas tell them apart.
         """
         pairs, edges = trimesh.graph.face_adjacency(self.faces, return_edges=True)
         cosine = np.einsum("ij,ij->i", self.normals[pairs[:, 0]], self.normals[pairs[:, 1]])
@@ -83,7 +84,8 @@ class DomainMesh:
             for kind in (border, sharp)
         )
         area = np.bincount(label, weights=self.areas)
-        candidates = np.flatnonzero((area > 1e-3 * self.areas.sum()) & (sharply > 0.5 * round_))
+        total = self.areas.sum()
+        candidates = np.flatnonzero((area > 1e-3 * total) & ((sharply > 0.5 * round_) | (area > LARGE * total)))
         facets = [f for k in candidates if (f := self._planar(np.flatnonzero(label == k)))]
         facets.sort(key=lambda f: (-round(f.area_m2 / self.areas.sum(), 5), *f.center_m.round(7).tolist()))
         return tuple(facets[:MAX_FACETS])
