@@ -49,12 +49,14 @@ def main() -> None:
     for name in ("celery.worker.strategy", "celery.app.trace"):
         logging.getLogger(name).setLevel(logging.WARNING)
     warnings.simplefilter("ignore", SecurityWarning)
+    log.info("starting for queue %s", queue)
     settings = Settings()
     records = Records.open(settings)
     app = celery_app(settings)
     wakeups = Wakeups(settings)
     reaper = Reaper(records, wakeups)
-    sweep(settings.scratch)
+    # Aside: it reads what all processes of this machine were started with, which may block where one of them hangs.
+    threading.Thread(target=sweep, args=(settings.scratch,), name="sweep", daemon=True).start()
     drain = threading.Event()
     registration = Registration(records, queue, concurrency)
     reaper.run_once()  # what dead processes of this machine held waits again, at once

@@ -189,7 +189,7 @@ def is_step(process: psutil.Process, scratch: str = "") -> bool:
         return False
 
 
-def wait_for(what: Callable[[], Any], seconds: float = 60.0) -> Any:
+def wait_for(what: Callable[[], Any], seconds: float = 300.0) -> Any:
     """Wait until something holds, and give it."""
     deadline = time.monotonic() + seconds
     while not (value := what()):

@@ -67,7 +67,7 @@ def test_a_frozen_worker_loses_its_step_and_its_late_write_is_refused(tmp_path: 
         wait_for(lambda: [p for p in cluster.steps() if p.pid != step.pid])
         for process in reversed(frozen):
             process.send_signal(signal.SIGCONT)
-        final = wait_for(lambda: (d := cluster.design(made.id)).final and d, 120)
+        final = wait_for(lambda: (d := cluster.design(made.id)).final and d)
         assert final.status == "succeeded"
         events = cluster.records.events(made.id, limit=10_000)
         done = [e.data["step"] for e in events if e.kind in ("step", "reused", "succeeded")]
@@ -91,7 +91,7 @@ def test_a_wiped_broker_loses_nothing(tmp_path: Path) -> None:
         cluster.broker.start()
         cluster.start_worker()
         for design in made:
-            wait_for(lambda d=design: cluster.design(d.id).status == "succeeded", 180)
+            wait_for(lambda d=design: cluster.design(d.id).status == "succeeded")
     finally:
         cluster.close()
 
@@ -107,11 +107,11 @@ def test_a_network_that_fails_between_worker_and_broker_loses_nothing(tmp_path: 
         wait_for(cluster.steps)
         cluster.proxy.set(mode)
         second = cluster.submit(seed=1)  # the service still reaches the broker
-        wait_for(lambda: cluster.design(first.id).step != "prepare", 120)
+        wait_for(lambda: cluster.design(first.id).step != "prepare")
         time.sleep(5)
         cluster.proxy.set("pass")
         for design in (first, second):
-            wait_for(lambda d=design: cluster.design(d.id).status == "succeeded", 240)
+            wait_for(lambda d=design: cluster.design(d.id).status == "succeeded")
             events = cluster.records.events(design.id, limit=10_000)
             done = [e.data["step"] for e in events if e.kind in ("step", "reused", "succeeded")]
             assert done == ["prepare", "solve", "build"]

@@ -27,7 +27,7 @@ def test_a_design_outlives_kills_of_its_step_and_of_its_worker(cluster: Cluster)
     step.kill()
     again = wait_for(lambda: [p for p in cluster.steps() if p.pid != step.pid])[0]
     assert kinds(cluster, made.id, "retrying") == ["prepare"]
-    wait_for(lambda: cluster.design(made.id).step != "prepare", 90)
+    wait_for(lambda: cluster.design(made.id).step != "prepare")
     running = wait_for(cluster.steps)[0]
     assert running.pid != again.pid
     cluster.kill_worker()
@@ -35,7 +35,7 @@ def test_a_design_outlives_kills_of_its_step_and_of_its_worker(cluster: Cluster)
     assert not running.is_running(), "a step dies with its worker"
     assert not cluster.design(made.id).final
     cluster.start_worker()
-    final = wait_for(lambda: (d := cluster.design(made.id)).final and d, 120)
+    final = wait_for(lambda: (d := cluster.design(made.id)).final and d)
     assert final.status == "succeeded", final.error
     done = [e.data["step"] for e in cluster.records.events(made.id, limit=10_000) if e.kind in ("step", "succeeded")]
     assert done == ["prepare", "solve", "build"]
@@ -82,7 +82,7 @@ def test_a_design_that_cannot_be_made_fails_with_advice(cluster: Cluster) -> Non
 
 def test_a_stopped_worker_hands_back_what_runs(cluster: Cluster) -> None:
     made = cluster.submit(seed=2, field={"method": "neural", "steps": 50_000})
-    wait_for(lambda: cluster.design(made.id).step == "solve" and cluster.steps(), 90)
+    wait_for(lambda: cluster.design(made.id).step == "solve" and cluster.steps())
     took = cluster.stop_worker()
     assert took < 12
     record = cluster.design(made.id)
