@@ -80,6 +80,13 @@ def test_solid_and_fluids_from_the_files_fill_the_envelope(designed: tuple[Path,
     assert sum(m.volume_m3 for m in meshes) * 1e9 == pytest.approx(VOLUME, rel=1e-4)
 
 
+@pytest.mark.parametrize("name", ["solid", "fluid_hot", "fluid_cold"])
+def test_a_reader_that_joins_vertices_finds_the_file_closed(designed: tuple[Path, Recorder], name: str) -> None:
+    mesh = trimesh.load(designed[0] / f"{name}.stl")
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+
+
 def test_the_3mf_holds_the_solid_in_its_unit(designed: tuple[Path, Recorder]) -> None:
     solid = read_domain_mesh(designed[0] / "solid.3mf", None)
     stl = read_domain_mesh(designed[0] / "solid.stl", Unit.MM)
