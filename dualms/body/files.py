@@ -49,7 +49,7 @@ def single_precision(mesh: TriangleMesh) -> TriangleMesh:
         _, first = np.unique(places, axis=0, return_index=True)
         taken = np.setdiff1d(np.arange(len(places)), first)
         if len(taken) == 0:
-            return TriangleMesh(places * step, mesh.faces)
+            return TriangleMesh(np.asarray(places * step, dtype=np.float64), mesh.faces)
         places[taken] += aside.integers(-2, 3, (len(taken), 3))
 
 
