@@ -117,9 +117,9 @@ def gc(data: Data = None) -> None:
     """Remove what no living record points to, and what is past its retention."""
     _use(data)
     from service.settings import worker_settings
-    from worker.artifacts import open_store
     from worker.garbage import collect
     from worker.records import Records
+    from worker.stores import open_store
 
     settings = worker_settings()
     records = Records.open(settings)

@@ -17,10 +17,11 @@ from service.problems import Problem
 from service.settings import Settings
 from service.watch import Watch
 from worker import tables
-from worker.artifacts import ArtifactStore, open_store
+from worker.artifacts import ArtifactStore
 from worker.queue import Wakeups
 from worker.records import DesignRecord, DomainRecord, Records
 from worker.settings import Settings as WorkerSettings
+from worker.stores import open_store
 from worker.views import Status
 
 

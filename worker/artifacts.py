@@ -10,11 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
-from urllib.parse import unquote, urlparse
-
-if TYPE_CHECKING:
-    from worker.settings import Settings
+from typing import Any, BinaryIO, Protocol
 
 CHUNK = 1 << 20
 HASH = re.compile(r"[0-9a-f]{64}")
@@ -90,20 +86,6 @@ class ArtifactStore(Protocol):
 
     def path(self, sha256: str) -> Path | None:
         """The file with the bytes, where the store is a local folder and has them."""
-
-
-def open_store(settings: Settings) -> ArtifactStore:
-    """The store that the settings name."""
-    from worker.folder_store import FolderStore
-
-    url = settings.store
-    if url.startswith("file:"):
-        return FolderStore(Path(unquote(urlparse(url).path)))
-    if "://" not in url:
-        return FolderStore(Path(url).expanduser().resolve())
-    from worker.object_store import ObjectStore  # obstore is loaded only where it is used
-
-    return ObjectStore(url)
 
 
 def put_file(store: ArtifactStore, path: Path) -> Blob:

@@ -20,7 +20,6 @@ from celery.platforms import SecurityWarning
 
 import dualms
 from worker import tables
-from worker.artifacts import open_store
 from worker.database import Now
 from worker.garbage import collect
 from worker.host import started_at, this_host
@@ -31,6 +30,7 @@ from worker.reaper import Reaper
 from worker.records import Records, new_id
 from worker.scratch import sweep
 from worker.settings import Settings
+from worker.stores import open_store
 from worker.tasks import Station, register
 from worker.webhooks import Deliverer
 

@@ -22,9 +22,10 @@ from typing import Any, BinaryIO
 from dualms.progress import Cancelled
 from dualms.spec import Spec
 from dualms.steps import ARTIFACTS, CHECKPOINT, INTERNAL, OPTIONAL_ARTIFACTS, Step
-from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, fetch, open_store, put_file
+from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, fetch, put_file
 from worker.failures import Failure, failure_of
 from worker.settings import Settings
+from worker.stores import open_store
 
 CHECKPOINT_S = 20.0  # between two looks for a new checkpoint
 _REPORT_S = 0.2  # between two reports of one stage

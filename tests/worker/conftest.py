@@ -18,12 +18,13 @@ import trimesh
 from dualms.spec import Spec
 from tests.broker import Broker
 from tests.proxy import Proxy
-from worker.artifacts import open_store, put_file
+from worker.artifacts import put_file
 from worker.database import Database
 from worker.leases import FileRecord, Leases, StepRecord
 from worker.queue import Wakeups
 from worker.records import DesignRecord, DomainRecord, NewDesign, Records
 from worker.settings import Settings
+from worker.stores import open_store
 from worker.tables import Base
 
 FACES = ("inlets", "outlets")

@@ -14,20 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.artifacts import (
-    ArtifactStore,
-    MissingBlob,
-    StoreFull,
-    TooManyBytes,
-    fetch,
-    open_store,
-)
+from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, TooManyBytes, fetch
 from worker.folder_store import FolderStore
 from worker.garbage import collect
 from worker.leases import FileRecord, Leases, StepRecord
 from worker.object_store import ObjectStore
 from worker.records import DesignRecord, Records
 from worker.settings import Settings
+from worker.stores import open_store
 
 
 @pytest.fixture(params=["folder", "memory", "obstore-folder"])

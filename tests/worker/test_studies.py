@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from tests.worker.conftest import result_of, small_spec
-from worker.artifacts import open_store
 from worker.garbage import collect
 from worker.leases import Leases
 from worker.records import DomainRecord, IdempotencyConflict, NewDesign, Records
+from worker.stores import open_store
 from worker.studies import NewStudy, Studies, StudyRecord
 from worker.views import FINAL
 

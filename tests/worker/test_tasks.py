@@ -7,12 +7,12 @@ import threading
 import pytest
 
 from tests.worker.conftest import result_of, small_spec
-from worker.artifacts import open_store
 from worker.child import Outcome
 from worker.failures import GPU_OUT_OF_MEMORY, Failure, failure_of
 from worker.leases import Lease, Leases
 from worker.queue import Wakeups
 from worker.records import DomainRecord, NewDesign, Records
+from worker.stores import open_store
 from worker.tasks import Station, _record, carry_out, take_one
 
 
