@@ -18,8 +18,9 @@ from service.backend import open_backend
 from service.designs.endpoints import router as designs
 from service.documentation import describe
 from service.domains.endpoints import router as domains
+from service.gauges import RecordsCollector
 from service.limits import BodyLimit
-from service.metrics import Meter, QueueCollector
+from service.metrics import Meter
 from service.settings import Settings
 from service.studies.endpoints import router as studies
 from worker.settings import Settings as WorkerSettings
@@ -47,7 +48,7 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
             async with open_backend(ours, theirs) as backend:
                 app.state.backend = backend
                 app.state.access = Access(backend.records, ours.require_keys)
-                collector: Any = QueueCollector(lambda: system.gauges(backend))
+                collector: Any = RecordsCollector(backend)
                 registry.register(collector)
                 yield
         finally:

@@ -14,7 +14,8 @@ from typing import Literal
 
 import psutil
 
-from service.local import gpu_found, openfoam_found
+from service.local import openfoam_found
+from worker.gpus import gpus
 from worker.settings import Settings
 
 LIBRARIES = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "torch", "celery", "fastapi", "sqlalchemy", "obstore")
@@ -87,8 +88,9 @@ def _disk(data: Path) -> Finding:
 
 
 def _gpu() -> Finding:
-    if gpu_found():
-        return Finding("GPU", "good", "an NVIDIA GPU answers; the gpu queue will be served")
+    if found := gpus():
+        names = ", ".join(f"{gpu.name} ({gpu.total_bytes / 1024**3:.0f} GiB)" for gpu in found)
+        return Finding("GPU", "good", f"{names}; the gpu queue will be served")
     return Finding("GPU", "optional", "none found", "Not needed: the phase field runs on the CPU. Neural fields gain.")
 
 

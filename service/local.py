@@ -14,7 +14,6 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,6 +25,7 @@ from typing import IO
 import psutil
 
 from service.processes import Child
+from worker.gpus import gpus
 
 MAX_SOCKET_PATH = 100  # sun_path holds 108 bytes on Linux, 104 on macOS
 BROKER_READY_S = 10.0
@@ -119,7 +119,7 @@ def machine_queues() -> tuple[str, ...]:
     queues = ["cpu"]
     if openfoam_found():
         queues.append("cfd")
-    if gpu_found():
+    if gpus():
         queues.append("gpu")
     return tuple(queues)
 
@@ -127,18 +127,6 @@ def machine_queues() -> tuple[str, ...]:
 def openfoam_found() -> bool:
     """Whether OpenFOAM's solvers are on the path."""
     return shutil.which("simpleFoam") is not None
-
-
-def gpu_found() -> bool:
-    """Whether a CUDA device answers, asked without torch."""
-    program = shutil.which("nvidia-smi")
-    if program is None:
-        return False
-    try:
-        listed = subprocess.run([program, "-L"], capture_output=True, timeout=5, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return listed.returncode == 0 and b"GPU" in listed.stdout
 
 
 def socket_path(data: Path) -> Path:

@@ -1,13 +1,11 @@
-"""Prometheus metrics of the API, and of the queue as the records tell it."""
+"""Counts and times of the API's requests, for Prometheus."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from prometheus_client.core import GaugeMetricFamily, Metric
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 LATENCIES = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0)
@@ -50,24 +48,3 @@ class Meter:
 
 
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
-
-
-class QueueCollector:
-    """Gauges of the queue, read from the records at each scrape.
-
-    Parameters
-    ----------
-    read
-        Gives gauges: name -> (description, label names, {label values: value}).
-    """
-
-    def __init__(self, read: Callable[[], Mapping[str, tuple[str, list[str], dict[tuple[str, ...], float]]]]) -> None:
-        self._read = read
-
-    def collect(self) -> Iterator[Metric]:
-        """The gauges now."""
-        for name, (description, labels, values) in self._read().items():
-            family = GaugeMetricFamily(name, description, labels=labels)
-            for key, value in values.items():
-                family.add_metric(list(key), value)
-            yield family

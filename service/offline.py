@@ -9,8 +9,9 @@ from pathlib import Path
 from dualms.spec import Spec
 from dualms.steps import ARTIFACTS, OPTIONAL_ARTIFACTS, STAGES, steps_of
 from service.designs.resolve import resolved
-from service.local import gpu_found, openfoam_found
+from service.local import openfoam_found
 from service.tables import DesignProgress
+from worker.gpus import gpus
 
 # Shares of the time of a usual design on a CPU, for the bar only.
 WEIGHTS = {"domain": 1, "flow": 3, "graph": 3, "partition": 2, "skeletons": 1, "field": 40, "surface": 10, "body": 20,
@@ -58,7 +59,7 @@ def design_here(domain: Path, spec: Spec, folder: Path) -> Path:
     from dualms.reading import inspect_file
     from service.tables import progress_console
 
-    gpu = gpu_found()
+    gpu = bool(gpus())
     queues = {"cpu"} | ({"gpu"} if gpu else set()) | ({"cfd"} if openfoam_found() else set())
     units = spec.units or inspect_file(domain, None).units
     spec = resolved(spec, units, frozenset(queues))

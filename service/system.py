@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -113,28 +112,6 @@ def readiness(backend: Backend) -> Readiness:
     if not any(w.queue == "cpu" for w in workers):
         notes.append("no cpu worker is registered: designs are taken, and wait for one")
     return Readiness(ready=True, store=True, broker=broker, queues=queues, workers=workers, notes=notes)
-
-
-def gauges(backend: Backend) -> Mapping[str, tuple[str, list[str], dict[tuple[str, ...], float]]]:
-    """The queue's state for Prometheus."""
-    queues = backend.records.queues()
-    per_queue: dict[str, tuple[str, dict[tuple[str, ...], float]]] = {
-        "dualms_queue_waiting": ("Steps that wait", {(q.queue,): float(q.waiting) for q in queues}),
-        "dualms_queue_running": ("Steps that run", {(q.queue,): float(q.running) for q in queues}),
-        "dualms_queue_oldest_seconds": (
-            "Age of the oldest that waits",
-            {(q.queue,): q.oldest_waiting_s for q in queues},
-        ),
-        "dualms_workers": ("Workers alive", {(q.queue,): float(q.workers) for q in queues}),
-    }
-    counts: dict[tuple[str, ...], float] = {(status,): float(n) for status, n in backend.records.counts().items()}
-    found: dict[str, tuple[str, list[str], dict[tuple[str, ...], float]]] = {
-        name: (text, ["queue"], values) for name, (text, values) in per_queue.items()
-    }
-    return found | {
-        "dualms_designs": ("Designs by status", ["status"], counts),
-        "dualms_waiting_clients": ("Long polls and event streams", [], {(): float(backend.watch.waiters)}),
-    }
 
 
 @cache

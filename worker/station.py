@@ -14,6 +14,8 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
 
 from celery import signals
 from celery.platforms import SecurityWarning
@@ -22,6 +24,7 @@ import dualms
 from worker import tables
 from worker.database import Now
 from worker.garbage import collect
+from worker.gpus import gpus
 from worker.host import started_at, this_host
 from worker.leases import Leases
 from worker.logs import log_to_stderr
@@ -100,7 +103,7 @@ class Registration:
         self.id = new_id()
         self._database = records.database
         pid = os.getpid()
-        self._row = {
+        self._row: dict[str, Any] = {
             "id": self.id,
             "host": this_host(),
             "name": platform.node(),
@@ -115,6 +118,8 @@ class Registration:
 
     def beat(self) -> None:
         """Say that this worker lives; register it (again) where it is unknown."""
+        if self._row["queue"] == "gpu":
+            self._row["facts"] = self._row["facts"] | {"gpus": [asdict(gpu) for gpu in gpus()]}
         with self._database.write() as session:
             row = session.get(tables.Worker, self.id)
             if row is None:
@@ -122,6 +127,7 @@ class Registration:
             else:
                 row.heartbeat_at = Now()  # type: ignore[assignment]
                 row.draining = bool(self._row["draining"])
+                row.facts = self._row["facts"]
 
     def drain(self) -> None:
         """Say that this worker takes nothing new."""

@@ -28,12 +28,13 @@ from dualms.study.figures import Scalar, default_metrics, figure, objectives_of,
 from dualms.study.grid import Point
 from dualms.study.table import PICTURE, Row, Table, make_table
 from service.designs.resolve import resolved
-from service.local import gpu_found, openfoam_found
+from service.local import openfoam_found
 from service.offline import WEIGHTS
 from service.studies.schemas import StudyPlan
 from service.studies.submission import study_points
 from service.tables import DesignProgress, progress_console
 from worker.failures import failure_of
+from worker.gpus import gpus
 
 STEPS_FOLDER = ".steps"  # results by cache key; may be deleted when the study is done
 POINTS_FOLDER = "points"
@@ -60,7 +61,7 @@ def study_here(domain: Path, plan: StudyPlan, title: str, folder: Path) -> Table
     Problem, DualMSError
         If the plan is refused. A point that fails is a row of the table that says why.
     """
-    gpu = gpu_found()
+    gpu = bool(gpus())
     points = _resolved(domain, study_points(plan.spec, plan.grid), gpu)
     specs = [point.spec for point in points]
     metrics, objectives = plan.metrics or default_metrics(specs), objectives_of(specs)

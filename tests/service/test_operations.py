@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,10 +13,13 @@ from service.cli import app
 from service.settings import Settings
 from worker.settings import Settings as WorkerSettings
 
+if TYPE_CHECKING:
+    from conftest import Served
+
 ROOT = Path(__file__).parents[2]
 
 
-def test_dashboard_asks_only_for_metrics_that_there_are() -> None:
+def test_dashboard_asks_only_for_metrics_that_the_service_gives(served: Served) -> None:
     dashboard = json.loads((ROOT / "docker" / "dashboard" / "dualms.json").read_text())
     asked = {
         name
@@ -23,9 +27,15 @@ def test_dashboard_asks_only_for_metrics_that_there_are() -> None:
         for target in panel["targets"]
         for name in re.findall(r"dualms_\w+", target["expr"])
     }
-    code = (ROOT / "service" / "metrics.py").read_text() + (ROOT / "service" / "system.py").read_text()
+    given = set(re.findall(r"^# TYPE (\w+)", served.http.get("/metrics").text, re.M))
     for name in asked:
-        assert f'"{re.sub("_(total|bucket)$", "", name)}"' in code, name
+        assert name in given or re.sub("_(bucket|sum|count)$", "", name) in given, name
+
+
+def test_dashboard_shows_queue_ages_stages_gpu_memory_and_failures() -> None:
+    text = (ROOT / "docker" / "dashboard" / "dualms.json").read_text()
+    for name in ("queue_waiting", "queue_oldest_seconds", "stage_seconds_sum", "gpu_memory_used_bytes", "failures_total"):
+        assert f"dualms_{name}" in text
 
 
 @pytest.mark.parametrize("name", ["docs/team.md", "docker-compose.yml"])
