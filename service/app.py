@@ -11,7 +11,7 @@ from fastapi import Depends, FastAPI
 from prometheus_client import CollectorRegistry
 
 from dualms import __version__
-from service import problems, reference, system
+from service import problems, system
 from service.access import Access, guard
 from service.artifacts.endpoints import router as artifacts
 from service.backend import open_backend
@@ -69,7 +69,6 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
     for router in (designs, artifacts, domains, studies):
         app.include_router(router, dependencies=[Depends(guard)], responses=refusals)
     app.include_router(system.router)
-    app.include_router(reference.router)
     describe(app)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
     app.add_middleware(Meter, registry=registry)

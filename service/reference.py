@@ -7,20 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fastapi import APIRouter, Request
-from fastapi.responses import HTMLResponse
 from jinja2 import Environment
 from markupsafe import Markup, escape
 
-router = APIRouter(include_in_schema=False)
-
 Json = dict[str, Any]
-
-
-@router.get("/docs", response_class=HTMLResponse)
-def reference(request: Request) -> str:
-    """The calls and the values that they take and give."""
-    return reference_page(json.dumps(request.app.openapi(), sort_keys=False))
 
 
 @cache

@@ -1,7 +1,8 @@
-"""Liveness, readiness, metrics and the landing page."""
+"""Liveness, readiness, metrics, and the pages for people."""
 
 from __future__ import annotations
 
+import json
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -9,7 +10,6 @@ from typing import Any, Literal
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, JSONResponse, Response
-from jinja2 import Environment
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -94,6 +94,14 @@ def landing(request: Request, backend: BackendDep, everybody: OpenDep) -> str:
     return str(_page().render(designs=cards, base=base, version=__version__, workers=queues))
 
 
+@router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
+def docs(request: Request) -> str:
+    """The calls and the values that they take and give, for people."""
+    from service.reference import reference_page  # with its template engine only where somebody looks
+
+    return reference_page(json.dumps(request.app.openapi(), sort_keys=False))
+
+
 def readiness(backend: Backend) -> Readiness:
     """Look at store, broker and workers."""
     broker = backend.wakeups.ping()
@@ -116,6 +124,8 @@ def readiness(backend: Backend) -> Readiness:
 
 @cache
 def _page() -> Any:
+    from jinja2 import Environment
+
     text = (Path(__file__).parent / "web" / "landing.html").read_text(encoding="utf-8")
     return Environment(autoescape=True).from_string(text)
 

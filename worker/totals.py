@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from sqlalchemy import select
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from worker import tables
@@ -29,7 +28,11 @@ class Total:
 def add(session: Session, kind: Kind, seconds_by_name: Mapping[str, float]) -> None:
     """Count something once for each name; part of the caller's transaction."""
     t = tables.Total
-    insert = sqlite.insert if session.get_bind().dialect.name == "sqlite" else postgresql.insert
+    insert: Any
+    if session.get_bind().dialect.name == "sqlite":
+        from sqlalchemy.dialects.sqlite import insert
+    else:  # asked for by name only where it is used: it brings all its drivers along
+        from sqlalchemy.dialects.postgresql import insert
     for name, seconds in sorted(seconds_by_name.items()):  # in one order, so that two writers cannot deadlock
         session.execute(
             insert(t)

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from dualms.study.figures import Objectives, Scalar
 from dualms.study.front import pareto_front
 
@@ -88,6 +86,8 @@ class Table:
 
     def to_html(self) -> str:
         """A page that shows the picture beside it and links to the designs' reports."""
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # the API starts without it
+
         environment = Environment(
             loader=PackageLoader("dualms", "pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
         )

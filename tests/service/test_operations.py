@@ -34,7 +34,13 @@ def test_dashboard_asks_only_for_metrics_that_the_service_gives(served: Served) 
 
 def test_dashboard_shows_queue_ages_stages_gpu_memory_and_failures() -> None:
     text = (ROOT / "docker" / "dashboard" / "dualms.json").read_text()
-    for name in ("queue_waiting", "queue_oldest_seconds", "stage_seconds_sum", "gpu_memory_used_bytes", "failures_total"):
+    for name in (
+        "queue_waiting",
+        "queue_oldest_seconds",
+        "stage_seconds_sum",
+        "gpu_memory_used_bytes",
+        "failures_total",
+    ):
         assert f"dualms_{name}" in text
 
 
