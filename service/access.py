@@ -131,6 +131,7 @@ async def guard(
     if scope == "write" and request.headers.get("sec-fetch-site") == "cross-site":
         raise Problem("cross-site", "A page of another site asked for this.", "Call the service from a program.")
     caller = await access.caller(shown.credentials if shown is not None else None, scope)
+    request.state.caller = caller  # for the log
     if caller.only is not None:
         for name, thing in request.path_params.items():
             kind = name.removesuffix("_id")

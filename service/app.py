@@ -13,6 +13,7 @@ from prometheus_client import CollectorRegistry
 from dualms import __version__
 from service import problems, system
 from service.access import Access, guard
+from service.access_log import AccessLog
 from service.artifacts.endpoints import router as artifacts
 from service.backend import open_backend
 from service.designs.endpoints import router as designs
@@ -23,20 +24,27 @@ from service.limits import BodyLimit
 from service.metrics import Meter
 from service.settings import Settings
 from service.studies.endpoints import router as studies
+from service.tracing import RequestSpans
 from worker.settings import Settings as WorkerSettings
+from worker.tracing import Tracing, open_tracing
 
 FORM_OVERHEAD = 1024**2  # what a form adds to the file in it
 
 
-def create_app(settings: Settings | None = None, worker_settings: WorkerSettings | None = None) -> FastAPI:
+def create_app(
+    settings: Settings | None = None, worker_settings: WorkerSettings | None = None, tracing: Tracing | None = None
+) -> FastAPI:
     """The app; connections are opened when it starts.
 
     Parameters
     ----------
     settings, worker_settings
         Default: what the environment says.
+    tracing
+        Where traces go. Default: as the settings say.
     """
     ours, theirs = settings or Settings(), worker_settings or WorkerSettings()
+    traces = tracing or open_tracing(theirs.tracing, "dualms-api")
     registry = CollectorRegistry()
 
     @asynccontextmanager
@@ -45,7 +53,7 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
         spool.mkdir(parents=True, exist_ok=True)
         before, tempfile.tempdir = tempfile.tempdir, str(spool)  # uploads spool beside the store, not in a RAM disk
         try:
-            async with open_backend(ours, theirs) as backend:
+            async with open_backend(ours, theirs, traces) as backend:
                 app.state.backend = backend
                 app.state.access = Access(backend.records, ours.require_keys)
                 collector: Any = RecordsCollector(backend)
@@ -71,7 +79,10 @@ def create_app(settings: Settings | None = None, worker_settings: WorkerSettings
     app.include_router(system.router)
     describe(app)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
+    app.add_middleware(AccessLog)
     app.add_middleware(Meter, registry=registry)
+    if traces.on:
+        app.add_middleware(RequestSpans, tracing=traces)
     return app
 
 

@@ -22,6 +22,7 @@ from worker.queue import Wakeups
 from worker.records import DesignRecord, DomainRecord, Records
 from worker.settings import Settings as WorkerSettings
 from worker.stores import open_store
+from worker.tracing import Tracing
 from worker.views import Status
 
 
@@ -57,6 +58,7 @@ class Backend:
     watch: Watch
     looks: Batches[tuple[int, Status]]
     bodies: Bodies
+    tracing: Tracing
 
     def domain(self, domain_id: str) -> DomainRecord:
         """The domain.
@@ -96,7 +98,7 @@ def design_not_found(design_id: str) -> Problem:
 
 
 @asynccontextmanager
-async def open_backend(settings: Settings, worker_settings: WorkerSettings) -> AsyncIterator[Backend]:
+async def open_backend(settings: Settings, worker_settings: WorkerSettings, tracing: Tracing) -> AsyncIterator[Backend]:
     """Connections for the life of the app."""
     records = Records.open(worker_settings)
     try:
@@ -104,7 +106,7 @@ async def open_backend(settings: Settings, worker_settings: WorkerSettings) -> A
             store, wakeups = open_store(worker_settings), Wakeups(worker_settings)
             with quick_state(records) as quick:
                 looks: Batches[tuple[int, Status]] = Batches(lambda ids: states(records, ids), quick)
-                yield Backend(settings, worker_settings, records, store, wakeups, watch, looks, Bodies())
+                yield Backend(settings, worker_settings, records, store, wakeups, watch, looks, Bodies(), tracing)
     finally:
         records.close()
 

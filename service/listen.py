@@ -7,13 +7,16 @@ import sys
 
 import uvicorn
 
+from worker.logs import log_to_stderr
+
 GRACE_S = 3  # open streams and long polls get so long to end
 
 
 def run(listener: socket.socket) -> None:
     """Serve until SIGTERM or SIGINT."""
+    log_to_stderr()
     config = uvicorn.Config(
-        "service.app:app", access_log=False, log_level="info", timeout_graceful_shutdown=GRACE_S, lifespan="on"
+        "service.app:app", access_log=False, log_config=None, timeout_graceful_shutdown=GRACE_S, lifespan="on"
     )
     uvicorn.Server(config).run(sockets=[listener])
 

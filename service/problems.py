@@ -253,7 +253,8 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def _unexpected(request: Request, error: Exception) -> Response:
         incident = secrets.token_hex(6)
-        log.error("incident %s at %s %s", incident, request.method, request.url.path, exc_info=error)
+        job = {"job_id": request.path_params.get("design_id")}
+        log.error("incident %s at %s %s", incident, request.method, request.url.path, exc_info=error, extra=job)
         return Problem(
             "internal-error",
             f"The service failed on this request; its log has the cause under {incident}.",

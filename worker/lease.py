@@ -42,6 +42,7 @@ class Lease:
     inputs: tuple[ArtifactRecord, ...]
     checkpoint: dict[str, Any] | None
     hints: dict[str, Any]
+    waiting_since: float  # seconds since 1970
 
     @property
     def id(self) -> str:
@@ -57,6 +58,11 @@ class Lease:
     def spec(self) -> Spec:
         """The design's specification."""
         return Spec.model_validate(self.design.spec)
+
+    @property
+    def trace(self) -> str | None:
+        """The span that asked for the design, where traces are kept."""
+        return self.hints.get("trace")
 
     @property
     def of_other_code(self) -> bool:

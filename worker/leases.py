@@ -85,6 +85,7 @@ class Leases:
                 inputs=tuple(views.artifact_record(file) for file in files),
                 checkpoint=row.checkpoint,
                 hints=dict(row.hints),
+                waiting_since=row.waiting_since if row.waiting_since is not None else row.created_at,
             )
 
     def renew(self, lease: Lease, report: tuple[str, float, str] | None = None) -> bool:

@@ -1,4 +1,4 @@
-"""Logs of the worker: one JSON object a line, with the job's id wherever there is one."""
+"""Logs of API and workers: one JSON object a line, with the job's id wherever there is one."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
+from typing import Any
 
 _job: ContextVar[str | None] = ContextVar("job", default=None)
 
@@ -24,11 +25,11 @@ def current_job(job_id: str) -> Iterator[None]:
 
 
 class JsonLines(logging.Formatter):
-    """A log record as one line of JSON."""
+    """A log record as one line of JSON; ``extra`` may hold a ``job_id``, and further fields as ``detail``."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The line."""
-        line = {
+        line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
@@ -38,6 +39,7 @@ class JsonLines(logging.Formatter):
         job_id = getattr(record, "job_id", None) or _job.get()
         if job_id is not None:
             line["job_id"] = job_id
+        line |= getattr(record, "detail", {})
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
         return json.dumps(line, default=str)

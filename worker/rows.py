@@ -35,6 +35,7 @@ class NewDesign:
     owner: str | None = None
     study_id: str | None = None
     priority: int = 0
+    trace: str | None = None  # the span that asked for it, as W3C traceparent
 
 
 def new_id() -> str:
@@ -92,7 +93,7 @@ def add_design(session: Session, new: NewDesign, design_id: str, now: float, liv
         metrics={},
         error=None,
         checkpoint=None,
-        hints={},
+        hints={"trace": new.trace} if new.trace is not None else {},
         version=1,
     )
     session.add(row)

@@ -44,6 +44,10 @@ class Settings(BaseSettings):
 
     webhook_private: bool = Field(False, description="Send webhooks to addresses that are not public, too.")
 
+    tracing: bool = Field(
+        False, description="Send traces (needs dualms[otel]); the standard OTEL_EXPORTER_OTLP_… say where."
+    )
+
     collect_s: float = Field(600.0, gt=0, description="Between two collections of garbage.")
     blob_grace_s: float = Field(3600.0, ge=0, description="Bytes younger than this are never collected.")
     cache_days: float = Field(30.0, ge=0, description="Step results unused for so long are forgotten.")

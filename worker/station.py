@@ -35,6 +35,7 @@ from worker.scratch import sweep
 from worker.settings import Settings
 from worker.stores import open_store
 from worker.tasks import Station, register
+from worker.tracing import open_tracing
 from worker.webhooks import Deliverer
 
 HEARTBEAT_S = 5.0
@@ -64,7 +65,16 @@ def main() -> None:
     registration = Registration(records, queue, concurrency)
     reaper.run_once()  # what dead processes of this machine held waits again, at once
     store = open_store(settings)
-    station = Station(queue, registration.id, settings, Leases(records), store, wakeups, drain)
+    station = Station(
+        queue,
+        registration.id,
+        settings,
+        Leases(records),
+        store,
+        wakeups,
+        drain,
+        tracing=open_tracing(settings.tracing, "dualms-worker"),
+    )
     register(app, station)
 
     def on_stop(**_: object) -> None:

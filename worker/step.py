@@ -68,7 +68,8 @@ def _outcome(job: dict[str, Any], channel: _Channel, cancel: threading.Event) ->
     except OSError as error:  # the store or this machine's disk; another try may do
         logging.exception("inputs or outputs")
         return {"away": f"its files could not be moved: {type(error).__name__}"}
-    return {"files": files, "timings": progress.timings(), "metrics": _metrics(folder)}
+    timings = progress.timings()
+    return {"files": files, "timings": timings, "stages": progress.stages, "metrics": _metrics(folder)}
 
 
 class _PipelineFailed(Exception):
@@ -161,6 +162,7 @@ class _Progress:
         self._stage = ""
         self._stage_began = time.monotonic()
         self._seconds: dict[str, float] = {}
+        self.stages: list[tuple[str, float, float]] = []  # with begin and end, seconds since 1970
         self._sent = 0.0
 
     def report(self, stage: str, fraction: float, note: str = "") -> None:
@@ -204,7 +206,9 @@ class _Progress:
 
     def _close_stage(self, now: float) -> None:
         if self._stage:
-            self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._stage_began
+            seconds = now - self._stage_began
+            self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + seconds
+            self.stages.append((self._stage, time.time() - seconds, time.time()))
         self._stage_began = now
 
 

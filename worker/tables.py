@@ -79,7 +79,7 @@ class Design(Base):
     metrics: Mapped[Json]
     error: Mapped[Json | None]
     checkpoint: Mapped[Json | None]  # of the step at hand: {"sha256", "size"}
-    hints: Mapped[Json]  # for the next start of the step at hand, such as a smaller batch
+    hints: Mapped[Json]  # for whoever goes on with it: a smaller batch, the code so far, the trace that it belongs to
     version: Mapped[int]  # grows with every visible change; also the sequence of the last event
 
 

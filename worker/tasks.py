@@ -8,7 +8,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from celery import Celery
@@ -24,6 +25,7 @@ from worker.pulse import Pulse
 from worker.queue import TASK, Wakeups
 from worker.scratch import step_folder
 from worker.settings import Settings
+from worker.tracing import Attributes, Tracing
 from worker.views import DesignRecord
 
 log = logging.getLogger(__name__)
@@ -41,6 +43,7 @@ class Station:
     wakeups: Wakeups
     drain: threading.Event
     pulse: Pulse = field(default_factory=Pulse)
+    tracing: Tracing = field(default_factory=Tracing)
 
     @property
     def device(self) -> str:
@@ -70,7 +73,7 @@ def take_one(station: Station) -> bool:
     lease = station.leases.claim(station.queue, station.worker_id)
     if lease is None:
         return False
-    with current_job(lease.id), station.pulse.busy():
+    with current_job(lease.id), station.pulse.busy(), _span(station, lease):
         log.info("step %s, try %d", lease.step, lease.design.tries)
         try:
             following = _carry_out_or_record_why_not(station, lease)
@@ -80,6 +83,16 @@ def take_one(station: Station) -> bool:
         if following is not None and not following.final:
             station.wakeups.send(following)
     return True
+
+
+@contextmanager
+def _span(station: Station, lease: Lease) -> Iterator[None]:
+    """The step's span, in the trace of the request that asked for the design; in it the time in the queue."""
+    with station.tracing.span(f"step {lease.step}", "consumer", lease.trace):
+        facts: Attributes = {"dualms.job_id": lease.id, "dualms.queue": station.queue, "dualms.try": lease.design.tries}
+        station.tracing.note(facts)
+        station.tracing.past(f"queue {station.queue}", lease.waiting_since, time.time())
+        yield
 
 
 def carry_out(station: Station, lease: Lease) -> DesignRecord | None:
@@ -97,6 +110,8 @@ def carry_out(station: Station, lease: Lease) -> DesignRecord | None:
             return patiently(lambda: leases.commit(lease, record, reused=True), patience_s)
         leases.forget(lease.key)
     outcome = _run(station, lease)
+    if outcome.ending != "done":
+        station.tracing.fail(outcome.failure.code if outcome.failure is not None else outcome.reason)
     log.info("step %s: %s %s", lease.step, outcome.ending, outcome.reason)
     return patiently(lambda: _record(station, lease, outcome), patience_s)
 
@@ -150,7 +165,10 @@ def _run(station: Station, lease: Lease) -> Outcome:
         drain=station.drain,
     )
     with step_folder(station.settings.scratch, lease.id) as folder:
-        return run_child(job, folder, station.limits, watch)
+        outcome = run_child(job, folder, station.limits, watch)
+    for stage, began, ended in outcome.result.get("stages", []):
+        station.tracing.past(f"stage {stage}", began, ended)
+    return outcome
 
 
 class _Hold:

@@ -158,7 +158,8 @@ class Deliverer:
         else:
             values["next_at"] = Now() + BACKOFF_S[delivery.tries - 1]
         if error is not None:
-            log.warning("webhook %s, try %d: %s", delivery.id, delivery.tries, error)
+            job = {"job_id": delivery.design_id}
+            log.warning("webhook %s, try %d: %s", delivery.id, delivery.tries, error, extra=job)
         with self._database.write() as session:
             session.execute(update(tables.Delivery).where(tables.Delivery.id == delivery.id).values(**values))
 

@@ -40,6 +40,7 @@ def submit(backend: Backend, caller: Caller, wanted: Wanted, key: str | None) ->
         deadline_s=wanted.options.deadline_s,
         webhook=wanted.options.webhook,
         owner=caller.owner,
+        trace=backend.tracing.context(),
     )
     _check_webhook(backend, new.webhook)
     within_quota(backend, caller, designs=1)

@@ -44,7 +44,7 @@ def submit_study(backend: Backend, caller: Caller, wanted: StudyIn, key: str | N
         spec=dict(wanted.spec),
         grid={path: list(values) for path, values in wanted.grid.items()},
         metrics=wanted.metrics or default_metrics(p.spec for p in points),
-        points=tuple((p.values, _design(p, domain, wanted, caller.owner)) for p in points),
+        points=tuple((p.values, _design(p, domain, wanted, caller.owner, backend.tracing.context())) for p in points),
         name=wanted.name,
         labels=wanted.labels,
         owner=caller.owner,
@@ -103,7 +103,9 @@ def _resolved(point: Point, domain: DomainRecord, queues: frozenset[str]) -> Spe
         raise Problem(problem.code, detail, error.advice, measured=error.measured) from None
 
 
-def _design(point: Point, domain: DomainRecord, wanted: StudyIn, owner: str | None) -> NewDesign:
+def _design(point: Point, domain: DomainRecord, wanted: StudyIn, owner: str | None, trace: str | None) -> NewDesign:
     name = ", ".join(f"{path.rpartition('.')[2]}={json.dumps(v)}" for path, v in point.values.items())
     name = f"{wanted.name}: {name}" if wanted.name else name
-    return NewDesign(domain_id=domain.id, spec=point.spec, name=name[:200], labels=wanted.labels, owner=owner)
+    return NewDesign(
+        domain_id=domain.id, spec=point.spec, name=name[:200], labels=wanted.labels, owner=owner, trace=trace
+    )

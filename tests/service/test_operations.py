@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -42,6 +43,28 @@ def test_dashboard_shows_queue_ages_stages_gpu_memory_and_failures() -> None:
         "failures_total",
     ):
         assert f"dualms_{name}" in text
+
+
+def test_every_line_of_the_logs_is_json_and_names_its_job(served: Served, domain_id: str, spec: dict[str, Any]) -> None:
+    spec["fluids"]["hot"]["inlets"][0]["center"] = [0, 0, 0]  # fails at once
+    design = served.http.post("/v1/designs", json={"domain": domain_id, "spec": spec}).json()["id"]
+    served.ended(design)
+    served.http.delete(f"/v1/designs/{design}")
+    told: list[tuple[str, int]] = []
+    deadline = time.monotonic() + 10
+    while len(told) < 2 and time.monotonic() < deadline:  # a line is written after the answer has gone
+        lines = {name: _lines(served.data / "logs" / f"{name}.log") for name in ("api", "worker")}
+        told = [(x["message"], x["status"]) for x in lines["api"] if x.get("job_id") == design]
+    assert told == [("POST /v1/designs", 202), (f"DELETE /v1/designs/{design}", 204)]
+    steps = [x["message"] for x in lines["worker"] if x.get("job_id") == design]
+    assert "step prepare, try 1" in steps
+    for line in (x for some in lines.values() for x in some):
+        assert {"time", "level", "logger", "message", "process"} <= set(line)
+        assert "job_id" in line or "step" not in line["message"].split()[:1], line
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
 
 
 @pytest.mark.parametrize("name", ["docs/team.md", "docker-compose.yml"])
