@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 
 from dualms import results
 from dualms.body.body import make_body
-from dualms.body.walls import wall_thickness
+from dualms.body.headers import headers_of
+from dualms.body.walls import graded_wall, wall_thickness, widest_wall
 from dualms.cfd.evaluate import evaluate as solve_evaluation
 from dualms.cut.partition import Partition, max_cut
 from dualms.domain import Domain
@@ -28,7 +30,7 @@ from dualms.surface import extract_surface
 from dualms.values import load, save
 
 BAND_VOXELS = 2.5  # what marching cubes needs of exact distance beyond half the wall
-WIDEST_WALL = 0.06  # band, in unit-cube units, within which a wall given by its share is looked for
+WIDEST_WALL = 0.12  # unit-cube units; thicker is not tried for a wall given by its share
 
 
 @dataclass(frozen=True)
@@ -92,13 +94,15 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     given = load(Prepared, folder / "prepared.safetensors")
     field = load_field(folder / "field.safetensors")
     domain, units = given.domain, Unit(given.units)
-    grid = domain.grid(spec.surface.resolution, padding=4)
-    asked = getattr(spec.wall, "thickness", 0.0) * units.metres / domain.scale_m
-    shell = spec.shell.thickness * units.metres / domain.scale_m if isinstance(spec.shell, ShellSpec) else 0.0
-    band = (asked / 2 or WIDEST_WALL) + BAND_VOXELS * grid.spacing
+    inside, outside = shells(spec.shell, units, domain)
+    shell = inside or outside
+    grid = domain.grid(spec.surface.resolution, padding=4 + ceil(outside * spec.surface.resolution))
+    widest = widest_wall(spec.wall, units, domain) or WIDEST_WALL
+    band = widest / 2 + BAND_VOXELS * grid.spacing
     surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell))
     wall = wall_thickness(spec.wall, units, domain, surface)
-    body = watch.run("body", lambda: make_body(domain, surface, wall, shell))
+    headers = headers_of(domain, spec.fluids, units, spec.shell)
+    body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers))
     report = watch.run(
         "report",
         lambda: make_report(
@@ -109,6 +113,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
             field,
             surface,
             body,
+            wall,
             spec,
             given.units,
         ),
@@ -125,16 +130,27 @@ def evaluate(folder: Path, spec: Spec, progress: Progress) -> None:
         raise TypeError("the specification asks for no evaluation")
     asked = spec.evaluation
     watch = Stopwatch(progress)
-    domain = load(Prepared, folder / "prepared.safetensors").domain
+    given = load(Prepared, folder / "prepared.safetensors")
+    domain, units = given.domain, Unit(given.units)
     field = load_field(folder / "field.safetensors")
     report = results.read_report(folder)
     grid = domain.grid(spec.surface.resolution, padding=4)
-    wall, shell = (x / domain.scale_m for x in (report.wall.thickness_m, report.shell_thickness_m))
+    wall = graded_wall(spec.wall, units, domain) or report.wall.thickness_m / domain.scale_m
+    inside, outside = shells(spec.shell, units, domain)
+    headers = headers_of(domain, spec.fluids, units, spec.shell)
     case, picture = folder / "case", folder / "evaluation.png"
     solved = watch.run(
         "evaluation",
         lambda: solve_evaluation(
-            domain, field.on(grid), grid, wall, spec.fluids, asked, progress, case, shell, picture
+            domain, field.on(grid), grid, wall, spec.fluids, asked, progress, case, inside, picture, headers, outside
         ),
     )
     results.write_evaluation(folder, report, solved.to_json(), watch.seconds, case if asked.keep_case else None)
+
+
+def shells(spec: ShellSpec | None, units: Unit, domain: Domain) -> tuple[float, float]:
+    """Thickness of the shell inside and outside the envelope, unit-cube units; one of them, or both, zero."""
+    if spec is None:
+        return 0.0, 0.0
+    thickness = spec.thickness * units.metres / domain.scale_m
+    return (thickness, 0.0) if spec.side == "inside" else (0.0, thickness)

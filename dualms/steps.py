@@ -86,11 +86,13 @@ def step_keys(domain_sha256: str, spec: Spec) -> dict[Step, str]:
         changes the keys of ``build`` and ``evaluate`` alone.
     """
     document = spec.model_dump(mode="json")
-    ports = {name: {k: fluid[k] for k in ("inlets", "outlets")} for name, fluid in document["fluids"].items()}
+    ports = [fluid[role] for fluid in document["fluids"].values() for role in ("inlets", "outlets")]
+    places = [[{k: v for k, v in port.items() if k != "header"} for port in listed] for listed in ports]
+    headers = [[port["header"] for port in listed] for listed in ports]
     parameters: dict[Step, object] = {
-        "prepare": [document["units"], ports, document["flow"], document["graph"], document["partition"], spec.seed],
+        "prepare": [document["units"], places, document["flow"], document["graph"], document["partition"], spec.seed],
         "solve": [document["field"], spec.seed],
-        "build": [document[k] for k in ("surface", "wall", "shell", "build_direction", "require")],
+        "build": [headers, *(document[k] for k in ("surface", "wall", "shell", "build_direction", "require"))],
         "evaluate": [document["evaluation"], document["fluids"]],
     }
     keys: dict[Step, str] = {}

@@ -65,7 +65,7 @@ def extract_surface(domain: Domain, values: Values, grid: Grid, band: float, she
     band
         Half width in which exact distances to the surface are wanted, unit-cube units.
     shell
-        Depth below the envelope down to which exact distances to it are wanted.
+        Distance from the envelope, on both sides, up to which exact distances are wanted.
 
     Raises
     ------
@@ -75,8 +75,8 @@ def extract_surface(domain: Domain, values: Values, grid: Grid, band: float, she
     whole = level_set(values, grid)
     if len(whole.faces) == 0:
         raise _empty()
-    depth = domain.depth(grid, max(band + grid.spacing, shell + 2 * grid.spacing))
-    distance = signed_distance(whole, values, grid, band, depth > -band)
+    depth = domain.depth(grid, max(band + grid.spacing, shell + 3 * grid.spacing))
+    distance = signed_distance(whole, values, grid, band, depth > -max(band, shell + 2 * grid.spacing))
     hot = Solid.of(whole)
     clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
     part = clipped.part(origin == hot.origin)

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.body.headers import LIFT_VOXELS, Header, refuse_collisions
 from dualms.body.openings import core
-from dualms.body.patches import patch_names, patch_of_faces
-from dualms.body.walls import channels
+from dualms.body.patches import INTERFACE, patch_names, patch_of_faces
+from dualms.body.thickness import Wall, thickness_at
+from dualms.body.walls import at_distance, channels
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked, InvalidBody
-from dualms.surface import Surface, to_metres
+from dualms.surface import Surface, level_set, to_metres
 from dualms.triangles import TriangleMesh
 
 NEGLIGIBLE = 1e-3  # of the domain's volume: what may be filled in or dropped without being an error
@@ -51,13 +53,16 @@ class Body:
     Parameters
     ----------
     solid
-        Wall and shell: the envelope less both fluids, closed.
+        Wall, shell and headers: the body's outline less both fluids, closed.
     solid_side
         (F,) int64 for each face of the solid: 1 towards the hot fluid, -1 towards the cold, 0 outside.
     hot, cold
         The fluid volumes.
     wall_m, shell_m
-        Asked thickness of the separating wall, and of the shell (0 without).
+        Asked thickness of the separating wall (its mean over the interface, where it is graded), and of the shell (0
+        without).
+    outline_m3
+        What solid and fluids fill together: the envelope, with the shell if it stands outside, and the headers.
     dropped_m3
         Slivers of solid that hang on nothing and were left out.
     leak_m3
@@ -70,11 +75,39 @@ class Body:
     cold: Fluid
     wall_m: float
     shell_m: float
+    outline_m3: float
     dropped_m3: float
     leak_m3: float
 
 
-def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Body:
+@dataclass(frozen=True)
+class _Outline:
+    """What bounds the body from outside, and by which bodies its faces were made.
+
+    Parameters
+    ----------
+    solid
+        The envelope, with a shell outside it, and the pipes of the headers.
+    skin
+        Origin of what is not a pipe.
+    pipes, bores
+        Of each header; a pipe's origin marks the end where the fluid comes out.
+    """
+
+    solid: Solid
+    skin: int
+    pipes: dict[int, Solid]
+    bores: dict[int, Solid]
+
+
+def make_body(
+    domain: Domain,
+    surface: Surface,
+    wall: Wall,
+    shell: float,
+    outside: bool = False,
+    headers: tuple[Header, ...] = (),
+) -> Body:
     """Cut the two sides of the wall out of the envelope.
 
     Parameters
@@ -82,9 +115,13 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
     domain
         The envelope and its ports.
     surface
-        The separating surface, with distances to it and, down to the shell, to the envelope.
+        The separating surface, with distances to it and, as far as the shell, to the envelope.
     wall, shell
         Thicknesses, unit-cube units; a shell of 0 is none.
+    outside
+        Whether the shell stands outside the envelope.
+    headers
+        Stub pipes on ports.
 
     Raises
     ------
@@ -92,21 +129,20 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
         If a fluid's largest part does not join all of its ports.
     WallTooThick, InvalidBody
         If nothing is left, or a boolean fails.
+    InvalidSpec
+        If a header touches what it must not.
     """
     envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
+    outline = _outline(domain, surface, envelope, shell if outside else 0.0, headers)
     made: dict[int, tuple[Solid, Fluid]] = {}
     side_of: dict[int, int] = {}
-    block = envelope
+    block = outline.solid
     for sign, side in zip((1, -1), channels(surface, wall), strict=True):
-        room = side
-        if shell:
-            free = core(domain, surface, shell, sign)
-            side_of[free.origin] = sign
-            room = side & free
-        side_of[side.origin] = sign
-        part, pockets, fluid = _fluid(domain, room & envelope, side.origin, envelope.origin, sign, shell)
+        room = _room(domain, surface, side, shell, sign, outside, outline)
+        part, pockets, fluid, origins = _fluid(domain, room, side.origin, outline, sign, shell)
+        side_of |= dict.fromkeys(origins, sign)
         made[sign] = part, fluid
-        # Subtract what reaches beyond the envelope, not what was cut by it: no two faces coincide.
+        # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
         block = block - room
         for pocket in pockets:
             block = block | pocket
@@ -129,27 +165,78 @@ def make_body(domain: Domain, surface: Surface, wall: float, shell: float) -> Bo
         solid_side=np.array([side_of.get(o, 0) for o in range(origin.max() + 1)])[origin],
         hot=hot,
         cold=cold,
-        wall_m=wall * domain.scale_m,
+        wall_m=_mean_wall(domain, wall, hot),
         shell_m=shell * domain.scale_m,
+        outline_m3=outline.solid.volume * cubic,
         dropped_m3=dropped * cubic,
         leak_m3=(hot_solid & cold_solid).volume * cubic,
     )
 
 
+def _outline(domain: Domain, surface: Surface, envelope: Solid, skin: float, headers: tuple[Header, ...]) -> _Outline:
+    body = envelope
+    if skin:
+        grown = level_set(surface.depth + np.float32(skin), surface.grid)
+        distance = np.full(len(grown.vertices), skin)
+        body = Solid.of(at_distance(grown, envelope.mesh(), distance, surface.grid.spacing))
+    refuse_collisions(domain, headers, body, surface.grid, skin)
+    pipes = {h.port: h.pipe(surface.grid, skin) for h in headers}
+    bores = {h.port: h.bore(surface.grid, skin) for h in headers}
+    solid = body
+    for pipe in pipes.values():
+        solid = solid | pipe
+    return _Outline(solid, body.origin, pipes, bores)
+
+
+def _room(
+    domain: Domain,
+    surface: Surface,
+    side: Solid,
+    shell: float,
+    sign: int,
+    outside: bool,
+    outline: _Outline,
+) -> Solid:
+    """Where a fluid is, reaching beyond the body's outline at its openings."""
+    if not shell:
+        return side
+    own = {k: bore for k, bore in outline.bores.items() if domain.ports[k].fluid == sign}
+    free = core(domain, surface, shell, sign, outside, frozenset(own))
+    if not own:
+        return side & free
+    # Up to just above the skin the fluid keeps to its side of the wall; above, the bores are wholly its own.
+    lift = (shell if outside else 0.0) + LIFT_VOXELS * surface.grid.spacing
+    below = Solid.of(level_set(surface.depth + np.float32(lift), surface.grid))
+    for bore in own.values():
+        free = free | bore
+    return free - (below - side)
+
+
+def _mean_wall(domain: Domain, wall: Wall, fluid: Fluid) -> float:
+    """Asked thickness over a fluid's interface, metres."""
+    interface = fluid.mesh.part(fluid.patch == INTERFACE)
+    asked = thickness_at(wall, (interface.centroids - domain.offset_m) / domain.scale_m)
+    return float(np.average(asked, weights=interface.areas)) * domain.scale_m
+
+
 def _fluid(
-    domain: Domain, cut: Solid, interface: int, envelope: int, sign: int, shell: float
-) -> tuple[Solid, list[Solid], Fluid]:
-    """The part of a fluid that joins its ports, the pockets to fill in, and the part's mesh with its patches."""
+    domain: Domain, room: Solid, interface: int, outline: _Outline, sign: int, shell: float
+) -> tuple[Solid, list[Solid], Fluid, list[int]]:
+    """The part of a fluid that joins its ports, the pockets to fill in, the part's mesh, and what cut it."""
     name = "hot" if sign == 1 else "cold"
-    ports = [port for port in domain.ports if port.fluid == sign]
+    indices = [k for k, port in enumerate(domain.ports) if port.fluid == sign]
+    ports = [domain.ports[k] for k in indices]
+    pipes = {outline.pipes[k].origin: at for at, k in enumerate(indices) if k in outline.pipes}
+    outer = {outline.skin, *pipes}
+    cut = room & outline.solid
     parts = cut.bodies()
-    best: tuple[int, Solid, TriangleMesh, NDArray[np.int64]] | None = None
+    best: tuple[int, Solid, TriangleMesh, NDArray[np.int64], list[int]] | None = None
     for part in parts[:8]:  # by falling volume
         mesh, origin = part.faces_by_origin()
-        patch = patch_of_faces(mesh, origin, interface, envelope, ports, shell)
+        patch = patch_of_faces(mesh, origin, interface, outline.skin, pipes, ports, shell)
         reached = len(np.unique(patch[patch >= 2]))
         if best is None or reached > best[0]:
-            best = (reached, part, mesh, patch)
+            best = (reached, part, mesh, patch, sorted(set(np.unique(origin).tolist()) - outer))
         if reached == len(ports):
             break
     if best is None or best[0] < len(ports):
@@ -160,7 +247,7 @@ def _fluid(
             advice="Make the wall or shell thinner, the ports larger, or use fewer sites.",
             measured={"fluid": name, "parts": len(parts), "ports_reached": reached, "ports": total},
         )
-    _, part, mesh, patch = best
+    _, part, mesh, patch, origins = best
     filled = cut.volume - part.volume
     fluid = Fluid(
         mesh=to_metres(domain, mesh),
@@ -169,7 +256,7 @@ def _fluid(
         components=len(part.bodies()),
         filled_m3=filled * domain.scale_m**3,
     )
-    return part, [pocket for pocket in parts if pocket is not part], fluid
+    return part, [pocket for pocket in parts if pocket is not part], fluid, origins
 
 
 def filled_fraction(fluid: Fluid) -> float:

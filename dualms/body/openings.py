@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import WallTooThick
-from dualms.grid import Grid
 from dualms.ports import Port
 from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
@@ -19,10 +18,19 @@ from dualms.triangles import TriangleMesh
 Values = NDArray[np.float32]
 SMOOTH = np.cos(np.radians(30))  # neighbours that turn by less belong to the same face of the envelope
 SAME_SIDE = np.cos(np.radians(45))
+CLEARANCE_VOXELS = 0.1  # between an opening and the bore of a header that it leads into
+OVERLAP_VOXELS = 1.5  # how far above the skin such an opening ends; the bore starts at one voxel
 
 
-def core(domain: Domain, surface: Surface, shell: float, fluid: int) -> Solid:
-    """Where a fluid may be: deeper than the shell, or under one of its ports.
+def core(
+    domain: Domain,
+    surface: Surface,
+    shell: float,
+    fluid: int,
+    outside: bool = False,
+    piped: frozenset[int] = frozenset(),
+) -> Solid:
+    """Where a fluid may be: clear of the shell, or under one of its ports.
 
     Under a port the shell still stands along the envelope's other faces, so an opening that takes a whole end face
     keeps the side walls.
@@ -32,38 +40,45 @@ def core(domain: Domain, surface: Surface, shell: float, fluid: int) -> Solid:
     domain
         The envelope and its ports.
     surface
-        Holds the depth below the envelope, exact down to ``shell`` and two voxels more.
+        Holds the depth below the envelope, exact for ``shell`` and two voxels more on both sides.
     shell
         Thickness, unit-cube units.
     fluid
         1 hot, -1 cold.
+    outside
+        Whether the shell stands outside the envelope.
+    piped
+        Ports (by index) whose openings go on in a header: they end within it, above the skin.
 
     Returns
     -------
     Solid
-        Reaches beyond the envelope at the openings, so that the envelope cuts it there.
+        Reaches beyond the skin at the openings, so that the body's outline cuts it there.
 
     Raises
     ------
     WallTooThick
-        If the shell fills the domain.
+        If a shell inside fills the domain.
     """
     grid = surface.grid
-    free = surface.depth - np.float32(shell)
-    if not (free > 0).any():
+    free = np.full(grid.shape, -1, dtype=np.float32) if outside else surface.depth - np.float32(shell)
+    if not outside and not (free > 0).any():
         raise WallTooThick(
             f"A shell of {shell:.3g} of the domain's longest side fills the domain.",
             advice="Make the shell thinner.",
             measured={"shell_over_longest_side": shell},
         )
-    for port in domain.ports:
+    for index, port in enumerate(domain.ports):
         if port.fluid == fluid:
-            _open(domain, port, free, grid, shell)
-    return Solid.of(level_set(free, grid))
+            _open(domain, port, free, surface, shell, outside, index in piped)
+    opened = Solid.of(level_set(free, grid))
+    # A body of its own for each fluid, so that faces tell which fluid they were cut for.
+    return Solid.of(TriangleMesh(domain.vertices, domain.faces)) | opened if outside else opened
 
 
-def _open(domain: Domain, port: Port, free: Values, grid: Grid, shell: float) -> None:
+def _open(domain: Domain, port: Port, free: Values, surface: Surface, shell: float, outside: bool, piped: bool) -> None:
     """Raise ``free`` to the opening of one port, in place."""
+    grid = surface.grid
     reach = shell + 2 * grid.spacing
     low = np.maximum(grid.nearest((port.samples.min(axis=0) - reach)[None])[0], 0)
     high = grid.nearest((port.samples.max(axis=0) + reach)[None])[0] + 1
@@ -74,8 +89,17 @@ def _open(domain: Domain, port: Port, free: Values, grid: Grid, shell: float) ->
     opening = np.minimum(port.lateral(points), reach - np.sqrt(squared))
     others = domain.faces[~_face_of(domain, port)]
     if len(others):
-        squared, _, _ = igl.point_mesh_squared_distance(points, domain.vertices, others)
-        opening = np.minimum(opening, np.sqrt(squared) - shell)
+        beside, _, _ = igl.point_mesh_squared_distance(points, domain.vertices, others)
+        if outside:
+            # Over a face, the root of the difference is the way to its rim; beyond the rim it is zero.
+            opening = np.minimum(opening, np.sqrt(np.maximum(beside - squared, 0)) - grid.spacing)
+        else:
+            opening = np.minimum(opening, np.sqrt(beside) - shell)
+    if piped:
+        skin = shell if outside else 0.0
+        # Within the bore, whose outline it would otherwise meet face to face, and not far into it.
+        opening = np.minimum(opening, port.lateral(points) - CLEARANCE_VOXELS * grid.spacing)
+        opening = np.minimum(opening, surface.depth[box].ravel() + skin + OVERLAP_VOXELS * grid.spacing)
     free[box] = np.maximum(free[box], opening.reshape(local.shape[:3]).astype(np.float32))
 
 

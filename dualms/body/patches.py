@@ -21,7 +21,8 @@ def patch_of_faces(
     mesh: TriangleMesh,
     origin: NDArray[np.int64],
     interface: int,
-    envelope: int,
+    outline: int,
+    pipes: dict[int, int],
     ports: list[Port],
     shell: float,
 ) -> NDArray[np.int64]:
@@ -33,12 +34,14 @@ def patch_of_faces(
         Boundary of one fluid, unit-cube frame.
     origin
         (F,) body that each face was cut from.
-    interface, envelope
-        Origins of the offset surface and of the envelope; any other origin is the shell.
+    interface, outline
+        Origins of the offset surface and of the body's outline (the envelope, or the shell outside it).
+    pipes
+        Origin of a header's pipe to its port's place in ``ports``. Any other origin is the shell or a bore.
     ports
         The fluid's ports.
     shell
-        Thickness of the shell; with one, everything on the envelope is a port.
+        Thickness of the shell; with one, everything on the outline is a port.
 
     Returns
     -------
@@ -46,12 +49,15 @@ def patch_of_faces(
         0 interface, 1 wall, 2 and up the ports in order.
     """
     patch = np.where(origin == interface, INTERFACE, WALL).astype(np.int64)
-    outer = np.flatnonzero(origin == envelope)
-    if len(outer) == 0:
+    for pipe, port in pipes.items():
+        patch[origin == pipe] = 2 + port
+    outer = np.flatnonzero(origin == outline)
+    bare = [k for k in range(len(ports)) if k not in pipes.values()]
+    if len(outer) == 0 or not bare:
         return patch
     middle = mesh.centroids[outer]
-    gaps = np.stack([cKDTree(port.samples).query(middle)[0] for port in ports])
-    nearest = gaps.argmin(axis=0)
+    gaps = np.stack([cKDTree(ports[k].samples).query(middle)[0] for k in bare])
+    nearest = np.array(bare)[gaps.argmin(axis=0)]
     reach = np.inf if shell else 2.0 / SAMPLES_ACROSS
     patch[outer] = np.where(gaps.min(axis=0) <= reach, 2 + nearest, WALL)
     return patch

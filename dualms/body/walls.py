@@ -7,23 +7,37 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from dualms.body.thickness import GradedWall, Wall, thickness_at
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import WallTooThick
-from dualms.spec import Unit, WallFraction, WallThickness
+from dualms.spec import Unit, WallGraded, WallSpec, WallThickness
 from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
 
+Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 
-def wall_thickness(spec: WallThickness | WallFraction, units: Unit, domain: Domain, surface: Surface) -> float:
+def widest_wall(spec: WallSpec, units: Unit, domain: Domain) -> float | None:
+    """The greatest thickness asked for, unit-cube units; None where a share is given."""
+    if isinstance(spec, WallThickness):
+        return _asked(spec, units, domain)
+    return GradedWall.of(spec, units, domain).most if isinstance(spec, WallGraded) else None
+
+
+def graded_wall(spec: WallSpec, units: Unit, domain: Domain) -> GradedWall | None:
+    """The wall that a specification grades; None where it is even."""
+    return GradedWall.of(spec, units, domain) if isinstance(spec, WallGraded) else None
+
+
+def wall_thickness(spec: WallSpec, units: Unit, domain: Domain, surface: Surface) -> Wall:
     """Thickness of the wall in unit-cube units.
 
     Parameters
     ----------
     spec
-        Either the thickness, in ``units``, or the share of the domain's volume that the wall takes.
+        The thickness, in ``units``, constant or graded, or the share of the domain's volume that the wall takes.
     units
         Unit of the specification.
     domain
@@ -33,8 +47,8 @@ def wall_thickness(spec: WallThickness | WallFraction, units: Unit, domain: Doma
 
     Returns
     -------
-    float
-        The thickness. A share is first met on the voxels, then corrected once by the exact volumes.
+    Wall
+        The thickness, or a graded wall. A share is first met on the voxels, then corrected once by the exact volumes.
 
     Raises
     ------
@@ -42,7 +56,9 @@ def wall_thickness(spec: WallThickness | WallFraction, units: Unit, domain: Doma
         If the share cannot be reached within the band where distances are known.
     """
     if isinstance(spec, WallThickness):
-        return spec.thickness * units.metres / domain.scale_m
+        return _asked(spec, units, domain)
+    if isinstance(spec, WallGraded):
+        return GradedWall.of(spec, units, domain)
     if wall_share(surface, surface.band) < spec.volume_fraction:
         raise WallTooThick(
             f"A wall of {100 * spec.volume_fraction:.3g} % of the domain would be thicker than "
@@ -56,47 +72,67 @@ def wall_thickness(spec: WallThickness | WallFraction, units: Unit, domain: Doma
     return 2 * half * spec.volume_fraction / (1 - left / envelope.volume)
 
 
-def wall_share(surface: Surface, half: float) -> float:
-    """Share of the domain within ``half`` (unit-cube units) of the surface; cut voxels count by their part."""
+def _asked(spec: WallThickness, units: Unit, domain: Domain) -> float:
+    return spec.thickness * units.metres / domain.scale_m
+
+
+def wall_share(surface: Surface, half: float | Values) -> float:
+    """Share of the domain within ``half`` (unit-cube units) of the surface; cut voxels count by their part.
+
+    ``half`` may hold a value for every voxel of the surface's grid.
+    """
     spacing = surface.grid.spacing
     voxels = surface.depth > -spacing
     inside = np.clip(surface.depth[voxels] / spacing + 0.5, 0, 1)
+    reach = np.broadcast_to(half, voxels.shape)[voxels]
     # Where both sides of a thin wall lie in one voxel, the voxel holds at most the wall's own thickness.
-    walled = np.clip((half - np.abs(surface.distance[voxels])) / spacing + 0.5, 0, min(1.0, 2 * half / spacing))
+    walled = np.clip(
+        (reach - np.abs(surface.distance[voxels])) / spacing + 0.5, 0, np.minimum(1.0, 2 * reach / spacing)
+    )
     return float((inside * walled).sum() / inside.sum())
 
 
-def channels(surface: Surface, thickness: float) -> tuple[Solid, Solid]:
+def channels(surface: Surface, wall: Wall) -> tuple[Solid, Solid]:
     """The two sides of the wall, not yet cut to the domain: hot and cold.
 
     Parameters
     ----------
     surface
-        Distance to the separating surface, exact beyond half the thickness by two voxels.
-    thickness
-        Unit-cube units.
+        Distance to the separating surface, exact beyond half the greatest thickness by two voxels.
+    wall
+        Thickness, unit-cube units.
     """
+    half = half_on_grid(surface, wall)
     sides = []
     for name, sign in (("hot", 1), ("cold", -1)):
-        side = level_set(sign * surface.distance, surface.grid, thickness / 2)
+        side = level_set(sign * surface.distance - np.float32(half), surface.grid)
         if len(side.faces) == 0:
             raise WallTooThick(
-                f"A wall of {thickness:.3g} of the domain's longest side leaves no room for the {name} fluid.",
+                f"A wall of {2 * np.max(half):.3g} of the domain's longest side leaves no room for the {name} fluid.",
                 advice="Make the wall thinner or use fewer sites.",
-                measured={"wall_over_longest_side": thickness},
+                measured={"wall_over_longest_side": float(2 * np.max(half))},
             )
-        sides.append(Solid.of(_at_distance(side, surface, thickness / 2)))
+        asked = thickness_at(wall, side.vertices) / 2
+        sides.append(Solid.of(at_distance(side, surface.sheet, asked, surface.grid.spacing)))
     return sides[0], sides[1]
 
 
-def _at_distance(side: TriangleMesh, surface: Surface, half: float) -> TriangleMesh:
-    """The mesh with its vertices moved to lie at exactly ``half`` from the surface.
+def half_on_grid(surface: Surface, wall: Wall) -> float | Values:
+    """Half the thickness: one value, or one for every voxel of the surface's grid."""
+    if isinstance(wall, GradedWall):
+        values = (wall.at(surface.grid.points()) / 2).astype(np.float32)
+        return np.asarray(values.reshape(surface.grid.shape))
+    return wall / 2
 
-    Marching cubes takes the distance as linear between voxels; where the surface bends inside a thin wall it is not.
-    Only small corrections are made: the caps at the grid's end lie further away and stay.
+
+def at_distance(side: TriangleMesh, surface: TriangleMesh, distance: Array, spacing: float) -> TriangleMesh:
+    """A mesh with its vertices moved to lie at exactly a distance (V,) from a surface.
+
+    Marching cubes takes the distance as linear between voxels (of edge ``spacing``); near a bend of the surface it is
+    not. Only small corrections are made: the caps at the grid's end lie further away and stay.
     """
-    squared, _, foot = igl.point_mesh_squared_distance(side.vertices, surface.sheet.vertices, surface.sheet.faces)
-    distance = np.sqrt(squared)
-    near = (np.abs(distance - half) < 0.25 * surface.grid.spacing) & (distance > 0.1 * half)
-    factor = np.where(near, half / np.where(near, distance, 1.0), 1.0)[:, None]
+    squared, _, foot = igl.point_mesh_squared_distance(side.vertices, surface.vertices, surface.faces)
+    found = np.sqrt(squared)
+    near = (np.abs(found - distance) < 0.25 * spacing) & (found > 0.1 * distance)
+    factor = np.where(near, distance / np.where(near, found, 1.0), 1.0)[:, None]
     return TriangleMesh(np.where(near[:, None], foot + factor * (side.vertices - foot), side.vertices), side.faces)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.body.headers import Header
 from dualms.cfd.channels import VoxelExchanger, solid_share, voxelise
 from dualms.domain import Domain
 from dualms.grid import Grid
@@ -95,10 +96,17 @@ def tpms_distance(domain: Domain, kind: Kind, cell: float, target: Grid, wall: f
 
 
 def tpms_exchanger(
-    domain: Domain, kind: Kind, cell: float, grid: Grid, wall: float, shell: float = 0.0
+    domain: Domain,
+    kind: Kind,
+    cell: float,
+    grid: Grid,
+    wall: float,
+    shell: float = 0.0,
+    headers: tuple[Header, ...] = (),
+    skin: float = 0.0,
 ) -> VoxelExchanger:
     """A periodic surface of a cell size (unit-cube units) as an exchanger in the envelope."""
-    return voxelise(domain, tpms_distance(domain, kind, cell, grid, wall), grid, wall, shell)
+    return voxelise(domain, tpms_distance(domain, kind, cell, grid, wall), grid, wall, shell, headers, skin)
 
 
 def cell_of_solid_fraction(domain: Domain, kind: Kind, grid: Grid, wall: float, fraction: float) -> float:

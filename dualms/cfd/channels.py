@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from dualms.body.headers import Header, at_pipe_ends
+from dualms.body.thickness import GradedWall, Wall, mean_thickness, thickness_at
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked
 from dualms.grid import Array, Grid
@@ -61,11 +63,13 @@ class VoxelExchanger:
     origin_m
         (3,) centre of voxel (0, 0, 0).
     wall_m
-        Thickness of the separating wall.
+        Thickness of the separating wall; its mean, where it is graded.
     hot, cold
         Where each fluid enters and leaves.
     dropped_hot, dropped_cold
         Share of each fluid's voxels that led from no inlet to any outlet and count as wall.
+    piped
+        Voxels that lie in headers, outside the envelope.
     """
 
     labels: Labels
@@ -77,6 +81,7 @@ class VoxelExchanger:
     cold: Openings
     dropped_hot: float
     dropped_cold: float
+    piped: int = 0
 
     def __post_init__(self) -> None:
         if self.labels.ndim != 3 or self.labels.shape != self.distance_m.shape:
@@ -99,7 +104,9 @@ class VoxelExchanger:
     @property
     def solid_fraction(self) -> float:
         """Wall over envelope, both by true distance where the voxels are coarser than the wall."""
-        return solid_share(self.distance_m[self.labels != OUTSIDE], self.wall_m, self.spacing_m)
+        voxels = self.distance_m[self.labels != OUTSIDE]
+        share = solid_share(voxels, self.wall_m, self.spacing_m)
+        return share * len(voxels) / (len(voxels) - self.piped)
 
 
 def solid_share(distance: NDArray[np.floating], wall: float, spacing: float) -> float:
@@ -113,7 +120,13 @@ def solid_share(distance: NDArray[np.floating], wall: float, spacing: float) -> 
 
 
 def voxelise(
-    domain: Domain, distance: NDArray[np.floating], grid: Grid, wall_thickness: float, shell_thickness: float = 0.0
+    domain: Domain,
+    distance: NDArray[np.floating],
+    grid: Grid,
+    wall: Wall,
+    shell_thickness: float = 0.0,
+    headers: tuple[Header, ...] = (),
+    skin: float = 0.0,
 ) -> VoxelExchanger:
     """Label the voxels of a domain by a signed distance, keep what leads from inlet to outlet, and find the openings.
 
@@ -124,12 +137,16 @@ def voxelise(
     distance
         (nx, ny, nz) signed distance to the separating surface on ``grid``, unit-cube units, positive in the hot fluid.
     grid
-        Must cover the domain with at least one voxel to spare on each side.
-    wall_thickness
+        Must cover the domain and the headers with at least one voxel to spare on each side.
+    wall
         Unit-cube units; walls thinner than a voxel leave hot and cold voxels touching, which solvers of this lattice
         take as a wall of both.
     shell_thickness
         Closed skin along the inside of the envelope, unit-cube units; ports go through it.
+    headers
+        Pipes on ports: they belong to the fluid, which then enters or leaves at their ends.
+    skin
+        Thickness of a shell outside the envelope, which the headers' lengths are measured from.
 
     Raises
     ------
@@ -138,15 +155,25 @@ def voxelise(
     """
     inside = domain.inside(grid)
     fluid = np.where(distance > 0, HOT, COLD).astype(np.int8)
-    labels = np.where(np.abs(distance) > wall_thickness / 2, fluid, np.int8(WALL))
+    thickness = thickness_at(wall, grid.points()).reshape(grid.shape) if isinstance(wall, GradedWall) else wall
+    labels = np.where(np.abs(distance) > thickness / 2, fluid, np.int8(WALL))
     labels[~inside] = OUTSIDE
     if shell_thickness > 0:
         depth = domain.depth(grid, shell_thickness + grid.spacing)
-        skin = inside & (depth < shell_thickness)
+        covered = inside & (depth < shell_thickness)
         for sign in (HOT, COLD):
             under = _under_ports(domain, grid, sign, shell_thickness)
-            labels[skin & (fluid == sign) & ~under] = OUTSIDE
-    kept = {sign: _through(domain, grid, labels, sign) for sign in (HOT, COLD)}
+            labels[covered & (fluid == sign) & ~under] = OUTSIDE
+    piped = np.zeros(grid.shape, dtype=bool)
+    for header in headers:
+        bore = header.holds(grid.points(), grid, skin).reshape(grid.shape) & ~inside
+        sign = domain.ports[header.port].fluid
+        labels[bore] = sign
+        piped |= bore
+        # Far from any wall but its own: no heat passes here.
+        distance = np.where(bore, sign * np.abs(distance).max(), distance)
+    ends = at_pipe_ends(domain, headers, skin)
+    kept = {sign: _through(ends, grid, labels, sign) for sign in (HOT, COLD)}
     for sign, (keep, _, _) in kept.items():
         labels[(labels == sign) & ~keep] = WALL
     return VoxelExchanger(
@@ -154,11 +181,12 @@ def voxelise(
         np.asarray(distance * domain.scale_m, dtype=np.float32),
         grid.spacing * domain.scale_m,
         domain.offset_m + grid.origin * domain.scale_m,
-        wall_thickness * domain.scale_m,
+        mean_thickness(wall, domain, grid) * domain.scale_m,
         kept[HOT][1],
         kept[COLD][1],
         kept[HOT][2],
         kept[COLD][2],
+        int(piped.sum()),
     )
 
 

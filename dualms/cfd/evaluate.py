@@ -5,11 +5,14 @@ from __future__ import annotations
 import resource
 import shutil
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.body.headers import Header, bounds
+from dualms.body.thickness import Wall, greatest, mean_thickness
 from dualms.cfd.baselines import PowerLaw, cell_of_solid_fraction, exact_distance, tpms_exchanger
 from dualms.cfd.channels import COLD, HOT, VoxelExchanger, voxelise
 from dualms.cfd.exchanger import SolvedExchanger, solve_exchanger
@@ -39,13 +42,15 @@ def evaluate(
     domain: Domain,
     distance: NDArray[np.floating],
     grid: Grid,
-    wall_thickness: float,
+    wall: Wall,
     fluids: FluidsSpec,
     spec: EvaluationSpec,
     progress: Progress,
     workdir: Path,
     shell_thickness: float = 0.0,
     picture: Path | None = None,
+    headers: tuple[Header, ...] = (),
+    skin: float = 0.0,
 ) -> Evaluation:
     """Solve a design and its baselines.
 
@@ -56,8 +61,8 @@ def evaluate(
     distance, grid
         Signed distance to the separating surface, or any field with the same zero level set, positive in the hot fluid;
         unit-cube frame, on any grid that covers the domain.
-    wall_thickness, shell_thickness
-        Unit-cube units.
+    wall, shell_thickness
+        Of the separating wall and of a shell inside the envelope, unit-cube units. Baselines get a graded wall's mean.
     fluids
         Properties, mass flows, inlet temperatures.
     spec
@@ -69,6 +74,9 @@ def evaluate(
         ``spec.keep_case``; all others are removed.
     picture
         PNG file for streamlines and wall pressures, or for the reason why there are none.
+    headers, skin
+        Pipes on ports, which are solved too, and thickness of a shell outside the envelope, whose short passages at
+        ports without a header are not.
 
     Returns
     -------
@@ -82,15 +90,17 @@ def evaluate(
     """
     foam = require_openfoam()
     began = time.monotonic()
-    target = domain.grid(spec.resolution, padding=2)
+    target = Grid.around(*bounds(domain, headers, skin), spec.resolution, padding=2)
+    even = mean_thickness(wall, domain, target)
     solves = 1 + len(spec.baselines) * (SOLVES_FOR_UA if spec.match == "ua" else 1)
-    runner = _Runner(foam, domain, target, wall_thickness, shell_thickness, fluids, spec, progress, workdir, solves)
+    around = _Surroundings(domain, target, even, shell_thickness, headers, skin)
+    runner = _Runner(foam, around, fluids, spec, progress, workdir, solves)
     problem: Problem | None = None
     solved: SolvedExchanger | None = None
     floor: dict[str, StraightPassage] = {}
     try:
-        field = exact_distance(domain, distance, grid, target, wall_thickness)
-        exchanger = voxelise(domain, field, target, wall_thickness, shell_thickness)
+        field = exact_distance(domain, distance, grid, target, greatest(wall))
+        exchanger = voxelise(domain, field, target, wall, shell_thickness, headers, skin)
         solved = runner.solve(exchanger, "design")
         floor = _floor(solved, fluids)
     except DualMSError as error:
@@ -131,23 +141,32 @@ def _draw(solved: SolvedExchanger | None, problem: Problem | None, picture: Path
         problem_picture(problem.message, picture)
 
 
+@dataclass(frozen=True)
+class _Surroundings:
+    """What a design and its baselines have in common, unit-cube units."""
+
+    domain: Domain
+    grid: Grid
+    wall: float
+    shell: float
+    headers: tuple[Header, ...]
+    skin: float
+
+
 class _Runner:
     """Solves one exchanger after the other and reports them as one stage."""
 
     def __init__(
         self,
         foam: OpenFoam,
-        domain: Domain,
-        grid: Grid,
-        wall: float,
-        shell: float,
+        around: _Surroundings,
         fluids: FluidsSpec,
         spec: EvaluationSpec,
         progress: Progress,
         workdir: Path,
         solves: int,
     ) -> None:
-        self.domain, self.grid, self.wall, self.shell, self.spec = domain, grid, wall, shell, spec
+        self.around, self.spec = around, spec
         self._foam, self._fluids, self._progress, self._workdir = foam, fluids, progress, workdir
         self._solves, self._done = solves, 0
 
@@ -172,14 +191,15 @@ def _baseline(
     """Solve a periodic surface at equal solid fraction and, if asked for, towards equal UA."""
     if design is None:
         return [], []
-    domain, grid, wall = runner.domain, runner.grid, runner.wall
+    around = runner.around
+    domain, grid, wall = around.domain, around.grid, around.wall
     cell = cell_of_solid_fraction(domain, kind, grid, wall, design.solid_fraction)
     rows: list[BaselineFigures] = []
     points: list[tuple[float, ExchangerFigures]] = []
     for k in range(SOLVES_FOR_UA if runner.spec.match == "ua" else 1):
         figures, problem = None, None
         try:
-            exchanger = tpms_exchanger(domain, kind, cell, grid, wall, runner.shell)
+            exchanger = tpms_exchanger(domain, kind, cell, grid, wall, around.shell, around.headers, around.skin)
             figures = runner.solve(exchanger, f"{kind}-{k}").figures
             points.append((cell, figures))
         except DualMSError as error:
@@ -201,7 +221,7 @@ def _compare(
         Comparison(
             surface=kind,
             match="solid-fraction",
-            cell_m=cell * runner.domain.scale_m,
+            cell_m=cell * runner.around.domain.scale_m,
             pressure_ratio=design.pressure_drop_pa / first.pressure_drop_pa,
             ua_ratio=design.ua_w_k / first.ua_w_k,
         )
@@ -212,7 +232,7 @@ def _compare(
             Comparison(
                 surface=kind,
                 match="ua",
-                cell_m=law.cell_at(design.ua_w_k) * runner.domain.scale_m,
+                cell_m=law.cell_at(design.ua_w_k) * runner.around.domain.scale_m,
                 pressure_ratio=design.pressure_drop_pa / law.pressure_at(design.ua_w_k),
                 ua_ratio=1.0,
             )

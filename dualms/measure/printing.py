@@ -18,7 +18,12 @@ Array = NDArray[np.float64]
 
 
 def wall_thicknesses(body: Body, seed: int) -> Array:
-    """(S,) thickness of the separating wall, metres, at random points of the hot interface.
+    """(S,) thickness of the separating wall, metres, at random points of the hot interface."""
+    return wall_samples(body, seed)[1]
+
+
+def wall_samples(body: Body, seed: int) -> tuple[Array, Array]:
+    """(S, 3) random points of the hot interface, and (S,) the thickness of the separating wall there, metres.
 
     The distance from the hot side's interface to the cold side's. Points within two wall thicknesses of the other
     patches are left out: there the wall meets the shell and has no thickness of its own.
@@ -33,7 +38,8 @@ def wall_thicknesses(body: Body, seed: int) -> Array:
         rim = fluid.mesh.part(fluid.patch != INTERFACE)
         if len(rim.faces):
             keep &= _distance(points, rim) > 2 * body.wall_m
-    return _distance(points[keep] if keep.any() else points, cold)
+    points = points[keep] if keep.any() else points
+    return points, _distance(points, cold)
 
 
 def overhang_fraction(mesh: TriangleMesh, up: Array) -> float:

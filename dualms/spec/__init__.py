@@ -4,7 +4,16 @@ Every field has a default (but ``units`` and the ports), bounds, a unit and its 
 "ours" with the reason. Lengths are in the specification's ``units``. Unknown keys are refused.
 """
 
-from dualms.spec.body import ShellSpec, SurfaceSpec, WallFraction, WallThickness
+from dualms.spec.body import (
+    GradedAlong,
+    GradedAround,
+    ShellSpec,
+    SurfaceSpec,
+    WallFraction,
+    WallGraded,
+    WallSpec,
+    WallThickness,
+)
 from dualms.spec.evaluation import EvaluationSpec
 from dualms.spec.field import (
     NEURAL_PRESETS,
@@ -20,7 +29,7 @@ from dualms.spec.fluids import ColdFluidSpec, FluidSpec, FluidsSpec
 from dualms.spec.graph import GRAPH_PRESETS, GraphSpec
 from dualms.spec.model import Model, Point, Vector
 from dualms.spec.partition import PartitionSpec
-from dualms.spec.ports import BoxPort, DiskPort, FacetPort, PortSpec
+from dualms.spec.ports import BoxPort, DiskPort, FacetPort, FlangeSpec, HeaderSpec, PortSpec
 from dualms.spec.require import RequireSpec
 from dualms.spec.spec import Spec
 from dualms.spec.units import Unit
@@ -37,10 +46,14 @@ __all__ = [
     "EvaluationSpec",
     "FacetPort",
     "FieldSpec",
+    "FlangeSpec",
     "FlowSpec",
     "FluidSpec",
     "FluidsSpec",
+    "GradedAlong",
+    "GradedAround",
     "GraphSpec",
+    "HeaderSpec",
     "Model",
     "NetworkField",
     "NeuralField",
@@ -58,5 +71,7 @@ __all__ = [
     "Unit",
     "Vector",
     "WallFraction",
+    "WallGraded",
+    "WallSpec",
     "WallThickness",
 ]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+import itertools
+from typing import Literal
 
-from dualms.spec.model import Length, Model
+from pydantic import Field, model_validator
+
+from dualms.spec.model import Coordinate, Length, Model, Point
 
 
 class SurfaceSpec(Model):
@@ -25,7 +28,53 @@ class WallFraction(Model):
     volume_fraction: float = Field(gt=0, lt=0.9, description="Wall volume over domain volume, shell left out.")
 
 
+class GradedAlong(Model):
+    """Thickness along a direction: linear between stations, constant beyond the outermost."""
+
+    direction: Point = Field(description="Direction, of any length but zero.")
+    stations: tuple[tuple[Coordinate, Length], ...] = Field(
+        min_length=2,
+        max_length=1000,
+        description="Pairs of position (x · unit direction, units; rising) and thickness (units).",
+    )
+
+    @model_validator(mode="after")
+    def _rising(self) -> GradedAlong:
+        if not any(self.direction):
+            raise ValueError("the direction must not be the zero vector")
+        places = [place for place, _ in self.stations]
+        if any(a >= b for a, b in itertools.pairwise(places)):
+            raise ValueError("the stations' positions must rise")
+        return self
+
+
+class GradedAround(Model):
+    """Thickness at points, between them the mean weighted by 1/distance² (Shepard 1968): never beyond the given."""
+
+    points: tuple[tuple[Point, Length], ...] = Field(
+        min_length=2, max_length=1000, description="Pairs of a point and the thickness there (units)."
+    )
+
+    @model_validator(mode="after")
+    def _distinct(self) -> GradedAround:
+        if len({point for point, _ in self.points}) < len(self.points):
+            raise ValueError("no two of the points may coincide")
+        return self
+
+
+class WallGraded(Model):
+    """Wall whose thickness the user varies over the body."""
+
+    graded: GradedAlong | GradedAround
+
+
+WallSpec = WallThickness | WallFraction | WallGraded
+
+
 class ShellSpec(Model):
-    """A closed skin of the solid along the inside of the envelope, open at the ports."""
+    """A closed skin of the solid along the envelope, open at the ports."""
 
     thickness: Length = Field(1.0, description="Thickness (units). Ours: twice the default wall.")
+    side: Literal["inside", "outside"] = Field(
+        "inside", description="Inside, the envelope is the body's outline; outside, it is the fluids' room. Ours."
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dualms.spec.model import Model
 from dualms.spec.ports import PortSpec
@@ -36,3 +36,14 @@ class FluidsSpec(Model):
 
     hot: FluidSpec
     cold: ColdFluidSpec
+
+    @model_validator(mode="after")
+    def _no_header_on_a_shared_opening(self) -> FluidsSpec:
+        hot, cold = ((*fluid.inlets, *fluid.outlets) for fluid in (self.hot, self.cold))
+        for ours in hot:
+            for theirs in cold:
+                if ours.place == theirs.place and (ours.header or theirs.header):
+                    raise ValueError(
+                        "a header cannot stand on an opening that both fluids share: give each fluid a port of its own"
+                    )
+        return self

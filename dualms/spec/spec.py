@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from dualms.spec.body import ShellSpec, SurfaceSpec, WallFraction, WallThickness
+from dualms.spec.body import ShellSpec, SurfaceSpec, WallSpec, WallThickness
 from dualms.spec.evaluation import EvaluationSpec
 from dualms.spec.field import AutoField, FieldSpec
 from dualms.spec.flow import FlowSpec, PotentialFlow
@@ -28,7 +28,7 @@ class Spec(Model):
     partition: PartitionSpec = Field(default=PartitionSpec())
     field: FieldSpec = Field(default_factory=AutoField)
     surface: SurfaceSpec = Field(default=SurfaceSpec())
-    wall: WallThickness | WallFraction = Field(default=WallThickness())
+    wall: WallSpec = Field(default=WallThickness())
     shell: ShellSpec | None = Field(default=ShellSpec())
     build_direction: Point = Field((0.0, 0.0, 1.0), description="Up in the printer.")
     require: RequireSpec = Field(default=RequireSpec(), description="What the certificate must also meet.")
@@ -39,4 +39,11 @@ class Spec(Model):
     def _up_is_a_direction(self) -> Spec:
         if not any(self.build_direction):
             raise ValueError("build_direction must not be the zero vector")
+        return self
+
+    @model_validator(mode="after")
+    def _headers_stand_on_a_shell(self) -> Spec:
+        ports = (p for f in (self.fluids.hot, self.fluids.cold) for p in (*f.inlets, *f.outlets))
+        if self.shell is None and any(port.header for port in ports):
+            raise ValueError("a header needs a shell to stand on: without one the other fluid may lie bare under it")
         return self

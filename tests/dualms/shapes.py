@@ -36,6 +36,16 @@ def end_ports(size: tuple[float, float, float] = (80.0, 60.0, 40.0), radius: flo
     )
 
 
+def with_headers(fluids: FluidsSpec, header: dict[str, object]) -> FluidsSpec:
+    """The fluids with the same header on every port."""
+    document = fluids.model_dump()
+    for fluid in document.values():
+        for role in ("inlets", "outlets"):
+            for port in fluid[role]:
+                port["header"] = header
+    return FluidsSpec.model_validate(document)
+
+
 def shared_ends(size: tuple[float, float, float] = (80.0, 60.0, 40.0)) -> FluidsSpec:
     """Counter-flow through both whole ends of a box, shared by the fluids."""
     x, y, z = size
@@ -56,6 +66,11 @@ def gyroid(grid: Grid, cell: float) -> np.ndarray:
     x, y, z = (2 * np.pi / cell * grid.points()).T
     values = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
     return values.reshape(grid.shape).astype(np.float32)
+
+
+def halves(grid: Grid, at: float = 0.375) -> np.ndarray:
+    """Signed distance to the plane y = ``at``: hot below it, cold above; float32."""
+    return (at - grid.points()[:, 1]).reshape(grid.shape).astype(np.float32)
 
 
 def small_spec(fluids: FluidsSpec, **changes: object) -> Spec:

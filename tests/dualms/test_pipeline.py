@@ -17,7 +17,7 @@ from dualms.progress import Cancelled, Silent
 from dualms.reading import read_domain_mesh
 from dualms.spec import FluidsSpec, Spec, Unit
 from dualms.steps import ARTIFACTS, INTERNAL, STAGES, step_keys, steps_of
-from tests.dualms.shapes import box_mesh, end_ports, shared_ends, small_spec
+from tests.dualms.shapes import box_mesh, end_ports, shared_ends, small_spec, with_headers
 
 VOLUME = 80 * 60 * 40
 REQUIRED = {"min_passage_m": 0.001, "max_overhang_fraction": 1e-9}  # one that is met, one that cannot be
@@ -165,6 +165,36 @@ def test_a_changed_wall_changes_the_keys_of_build_alone() -> None:
     assert one["prepare"] == two["prepare"]
     assert one["solve"] == two["solve"]
     assert one["build"] != two["build"]
+
+
+def test_a_changed_header_changes_the_keys_of_build_alone() -> None:
+    fluids = [with_headers(end_ports(), {"radius": 6, "length": n}) for n in (20, 21)]
+    one, two = (step_keys("0" * 64, small_spec(f)) for f in fluids)
+    bare = step_keys("0" * 64, small_spec(end_ports()))
+    assert one["solve"] == two["solve"] == bare["solve"]
+    assert len({one["build"], two["build"], bare["build"]}) == 3
+
+
+def test_headers_an_outer_shell_and_a_graded_wall_are_built(tmp_path: Path) -> None:
+    spec = small_spec(
+        with_headers(end_ports(), {"radius": 6, "length": 20, "flange": {"radius": 10, "thickness": 3}}),
+        shell={"thickness": 1.5, "side": "outside"},
+        wall={"graded": {"direction": (1, 0, 0), "stations": [(0, 0.8), (80, 1.4)]}},
+    )
+    for step in steps_of(spec):
+        run_step(step, tmp_path, _domain_file(tmp_path), spec, Silent())
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["leak_free"]
+    assert all(report["watertight"].values())
+    assert report["volume_closure_error"] < 1e-9
+    assert 0.0008 < report["wall"]["thickness_m"] < 0.0014
+    mesh = read_domain_mesh(tmp_path / "solid.stl", Unit.MM)
+    assert np.ptp(mesh.vertices_m, axis=0)[0] == pytest.approx(0.080 + 2 * 0.0215, abs=1e-6)
+    document = json.loads((tmp_path / "patches.json").read_text())
+    ports = [p for f in ("hot", "cold") for p in document[f]["patches"] if "let" in p["name"]]
+    assert len(ports) == 4
+    for port in ports:
+        assert port["area_m2"] == pytest.approx(np.pi * 0.006**2, rel=1e-3)
 
 
 def test_a_changed_seed_changes_every_key() -> None:

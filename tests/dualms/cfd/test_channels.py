@@ -1,10 +1,14 @@
 import numpy as np
 import pytest
 
+from dualms.body.headers import bounds, headers_of
 from dualms.cfd.baselines import tpms_exchanger
 from dualms.cfd.channels import STEPS, voxelise
 from dualms.errors import ChannelBlocked
+from dualms.grid import Grid
+from dualms.spec import ShellSpec, Unit
 from tests.dualms.cfd.conftest import BOX, box_design
+from tests.dualms.shapes import box_mesh, domain_of, end_ports, halves, with_headers
 
 
 @pytest.mark.parametrize("shared", [True, False])
@@ -91,3 +95,23 @@ def test_a_shell_closes_the_envelope_but_not_the_ports() -> None:
     shelled = voxelise(domain, distance, grid, 0.01, 0.05)
     assert (shelled.labels == 1).sum() < 0.9 * (bare.labels == 1).sum()
     assert len(shelled.hot.inlet) >= 0.6 * len(bare.hot.inlet)
+
+
+def test_a_fluid_enters_at_the_end_of_its_header() -> None:
+    size = (120.0, 60.0, 60.0)
+    fluids = with_headers(end_ports(size), {"radius": 6, "length": 30, "wall": 2})
+    domain = domain_of(box_mesh(size), fluids)
+    headers = headers_of(domain, fluids, Unit.MM, ShellSpec(thickness=2))
+    grid = Grid.around(*bounds(domain, headers, 0.0), 120, 2)
+    found = voxelise(domain, halves(grid, 0.25), grid, 0.02, 2 / 120, headers)
+    bare = voxelise(domain, halves(grid, 0.25), grid, 0.02, 2 / 120)
+    for openings in (found.hot, found.cold):
+        assert len(openings.inlet) * found.spacing_m**2 == pytest.approx(np.pi * 0.006**2, rel=0.05)
+    x = found.origin_m[0] + found.spacing_m * (found.hot.inlet[:, 0] - 0.5)
+    np.testing.assert_allclose(x, -0.030, atol=0.6 * found.spacing_m)
+    gained = (found.labels == 1).sum() - (bare.labels == 1).sum()
+    # From the port's circle of 8 mm over three straight voxels and a cone of 2 mm to the pipe's 6 mm.
+    cone = np.pi / 3 * 2 * (64 + 48 + 36)
+    assert gained == pytest.approx(2 * np.pi * 64 * 3 + 2 * cone + 2 * np.pi * 36 * 25, rel=0.03)
+    assert found.solid_fraction == pytest.approx(bare.solid_fraction, rel=0.01)
+    assert found.dropped_hot == found.dropped_cold == 0
