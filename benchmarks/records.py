@@ -22,7 +22,8 @@ from worker import tables
 from worker.leases import Leases
 from worker.queue import Wakeups
 from worker.reaper import Reaper
-from worker.records import NewDesign, Records, new_id
+from worker.records import Records
+from worker.rows import NewDesign, new_id
 from worker.settings import Settings
 
 BATCH = 2000

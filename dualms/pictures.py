@@ -26,7 +26,7 @@ CUT: Colour = (0.90, 0.90, 0.88)
 SAMPLES_PER_PIXEL = 12
 
 
-def preview(body: Body, path: Path, width: int = 1280) -> None:
+def preview(body: Body, path: Path, width: int) -> None:
     """Write a picture with three views: cut open, both fluids, and the closed solid.
 
     Parameters

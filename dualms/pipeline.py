@@ -119,7 +119,10 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
         ),
     )
     watch.run(
-        "report", lambda: results.write_meshes(folder, domain, given.graph, given.partition, surface, body, units)
+        "report",
+        lambda: results.write_meshes(
+            folder, domain, given.graph, given.partition, surface, body, units, spec.pictures.width
+        ),
     )
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))
 

@@ -23,9 +23,16 @@ from dualms.surface import Surface
 
 
 def write_meshes(
-    folder: Path, domain: Domain, graph: Graph, partition: Partition, surface: Surface, body: Body, units: Unit
+    folder: Path,
+    domain: Domain,
+    graph: Graph,
+    partition: Partition,
+    surface: Surface,
+    body: Body,
+    units: Unit,
+    preview_width: int,
 ) -> None:
-    """Write surface, solid, fluids, patches, scene and preview."""
+    """Write surface, solid, fluids, patches, scene and preview (so many pixels across)."""
     scaled = in_units(body, units.metres)
     sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
     write_stl(sheet, folder / "surface.stl")
@@ -45,7 +52,7 @@ def write_meshes(
         },
         folder / "scene.glb",
     )
-    preview(body, folder / "preview.png")
+    preview(body, folder / "preview.png", preview_width)
 
 
 def patches(body: Body, units: Unit) -> dict[str, Any]:

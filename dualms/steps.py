@@ -92,7 +92,10 @@ def step_keys(domain_sha256: str, spec: Spec) -> dict[Step, str]:
     parameters: dict[Step, object] = {
         "prepare": [document["units"], places, document["flow"], document["graph"], document["partition"], spec.seed],
         "solve": [document["field"], spec.seed],
-        "build": [headers, *(document[k] for k in ("surface", "wall", "shell", "build_direction", "require"))],
+        "build": [
+            headers,
+            *(document[k] for k in ("surface", "wall", "shell", "build_direction", "pictures", "require")),
+        ],
         "evaluate": [document["evaluation"], document["fluids"]],
     }
     keys: dict[Step, str] = {}

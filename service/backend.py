@@ -19,11 +19,11 @@ from service.watch import Watch
 from worker import tables
 from worker.artifacts import ArtifactStore
 from worker.queue import Wakeups
-from worker.records import DesignRecord, DomainRecord, Records
+from worker.records import Records
 from worker.settings import Settings as WorkerSettings
 from worker.stores import open_store
 from worker.tracing import Tracing
-from worker.views import Status
+from worker.views import DesignRecord, DomainRecord, Status
 
 
 class Bodies:

@@ -98,7 +98,7 @@ class Client:
             Names this request; the default is made from its contents, so that the same call within a minute of trying
             gives one design.
         options
-            ``labels``, ``webhook``, ``deadline_s``.
+            ``labels``, ``webhook``, ``deadline_s``, ``priority``.
         """
         body = {"domain": domain, "spec": dict(spec), **({"name": name} if name else {}), **options}
         key = idempotency_key or f"client-{hashlib.sha256(f'{body}{time.time_ns()}'.encode()).hexdigest()[:32]}"

@@ -87,6 +87,7 @@ def _design_body(schemas: Schemas) -> dict[str, Any]:
                 "exclusiveMinimum": 0,
                 "description": options["deadline_s"]["description"],
             },
+            "priority": options["priority"],
         },
     }
     return {

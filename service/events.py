@@ -13,7 +13,7 @@ from service.backend import Backend
 from service.designs.views import FINAL
 from service.problems import Problem
 from service.times import iso
-from worker.records import EventRecord
+from worker.views import EventRecord
 
 BATCH = 200
 LOOK_AGAIN_S = 20.0

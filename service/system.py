@@ -18,7 +18,7 @@ from service.access import OpenDep
 from service.backend import Backend, BackendDep
 from service.designs.views import artifact_view, design_summary
 from service.domains.schemas import Output
-from worker.records import DesignRecord
+from worker.views import DesignRecord
 
 router = APIRouter(tags=["service"])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -73,7 +74,7 @@ class _Queue:
     """The process of one queue."""
 
     def __init__(self, queue: str, concurrency: int) -> None:
-        self._command = [sys.executable, "-m", "worker.station", queue, str(concurrency)]
+        self._command = [sys.executable, "-m", "worker.station", queue, str(concurrency), str(os.getpid())]
         self._queue = queue
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0

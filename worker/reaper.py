@@ -8,17 +8,18 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import delete, func, or_, select, update
 
 from dualms.spec import Spec
 from worker import tables, views
 from worker.database import Now
 from worker.failures import deadline_exceeded
 from worker.host import is_alive, this_host
-from worker.leases import Leases
 from worker.queue import Wakeups
-from worker.records import Records, change, end, live_queues
+from worker.records import Records
+from worker.requeue import Requeue
 from worker.routing import QUEUES, queue_of
+from worker.rows import change, end, live_queues
 from worker.views import DesignRecord
 
 RESEND_S = 5.0  # a message younger than this may still be on its way
@@ -41,7 +42,7 @@ class Reaper:
     def __init__(self, records: Records, wakeups: Wakeups) -> None:
         self._database = records.database
         self._settings = records.settings
-        self._leases = Leases(records)
+        self._requeue = Requeue(records)
         self._wakeups = wakeups
         self._host = this_host()
 
@@ -91,7 +92,7 @@ class Reaper:
             rows = session.scalars(query).all()
         count = 0
         for row in rows:
-            taken = self._leases.expire(views.design_record(row), "its worker went away")
+            taken = self._requeue.expire(views.design_record(row), "its worker went away")
             if taken is not None:
                 count += 1
                 log.warning("took step %s away from a lost worker", row.step, extra={"job_id": row.id})
@@ -121,7 +122,10 @@ class Reaper:
         return count
 
     def _resend(self) -> int:
-        """Messages for steps that wait while their queue at the broker holds fewer messages than steps wait."""
+        """Messages for steps that wait while their queue at the broker holds fewer messages than steps wait.
+
+        A message sent in the future was sent before the clock was set back; it is repeated, too.
+        """
         d = tables.Design
         count = 0
         for queue in QUEUES:
@@ -135,7 +139,7 @@ class Reaper:
                 with self._database.write() as session:
                     mine = session.execute(
                         update(d)
-                        .where(d.id == design_id, *waits, d.dispatched_at < Now() - RESEND_S)
+                        .where(d.id == design_id, *waits, func.abs(Now() - d.dispatched_at) > RESEND_S)
                         .values(dispatched_at=Now())
                         .returning(d.id)
                         .execution_options(synchronize_session=False)

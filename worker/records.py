@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from sqlalchemy import and_, delete, func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import delete, func, select
 
-from worker import tables, views
+from worker import fleet, listing, tables, views
 from worker.database import Database
+from worker.idempotency import made_before, once, remember
 from worker.migrations import migrate
-from worker.rows import NewDesign, add_design, change, end, id_at, live_queues, moment, new_id
+from worker.rows import NewDesign, add_design, end, live_queues, moment, new_id
 from worker.settings import Settings
 from worker.views import (
     ArtifactRecord,
@@ -26,10 +26,6 @@ from worker.views import (
     Status,
     WorkerRecord,
 )
-
-
-class IdempotencyConflict(Exception):
-    """The idempotency key was used before with another request."""
 
 
 class Records:
@@ -83,23 +79,27 @@ class Records:
         owner: str | None = None,
     ) -> DomainRecord:
         """Record an envelope whose bytes are in the store; an id that is known already is returned as it is."""
-        with self.database.write() as session:
-            row = session.get(tables.Domain, id)
-            if row is None:
-                row = tables.Domain(
-                    id=id,
-                    sha256=sha256,
-                    size=size,
-                    name=name,
-                    suffix=suffix,
-                    units=units,
-                    inspection=inspection,
-                    owner=owner,
-                    created_at=moment(session),
-                )
-                session.add(row)
-                session.flush()
-            return views.domain_record(row)
+
+        def add() -> DomainRecord:
+            with self.database.write() as session:
+                row = session.get(tables.Domain, id)
+                if row is None:
+                    row = tables.Domain(
+                        id=id,
+                        sha256=sha256,
+                        size=size,
+                        name=name,
+                        suffix=suffix,
+                        units=units,
+                        inspection=inspection,
+                        owner=owner,
+                        created_at=moment(session),
+                    )
+                    session.add(row)
+                    session.flush()
+                return views.domain_record(row)
+
+        return once(add)
 
     def domain(self, domain_id: str) -> DomainRecord | None:
         """The record, or None."""
@@ -135,30 +135,17 @@ class Records:
         IdempotencyConflict
             If the key belongs to another request.
         """
-        owner = new.owner or ""
+        return once(lambda: self._create(new, idempotency, design_id or new_id()))
+
+    def _create(self, new: NewDesign, given: tuple[str, str] | None, design_id: str) -> tuple[DesignRecord, bool]:
         with self.database.write() as session:
-            now = moment(session)
-            if idempotency is not None:
-                known = session.get(tables.IdempotencyKey, (owner, idempotency[0]), with_for_update=True)
-                if known is not None and known.created_at < now - self.settings.idempotency_days * 86400:
-                    session.delete(known)
-                    session.flush()
-                    known = None
+            if given is not None:
+                known = made_before(session, tables.Design, new.owner, given, self.settings.idempotency_days)
                 if known is not None:
-                    if known.request_sha256 != idempotency[1]:
-                        raise IdempotencyConflict(idempotency[0])
-                    row = session.get(tables.Design, known.design_id)
-                    if row is not None:
-                        return views.design_record(row), False
-                    session.delete(known)  # the design was deleted since
-                    session.flush()
-            row = add_design(session, new, design_id or new_id(), now, self._live_queues(session))
-            if idempotency is not None:
-                key, digest = idempotency
-                session.add(
-                    tables.IdempotencyKey(owner=owner, key=key, request_sha256=digest, design_id=row.id, created_at=now)
-                )
-            return views.design_record(row), True
+                    return views.design_record(known), False
+                remember(session, new.owner, given, design_id)
+            live = live_queues(session, self.settings.worker_gone_s)
+            return views.design_record(add_design(session, new, design_id, moment(session), live)), True
 
     def design(self, design_id: str) -> DesignRecord | None:
         """The record, or None."""
@@ -187,27 +174,17 @@ class Records:
         study_id: str | None = None,
     ) -> Page:
         """Designs, newest first; every filter that is given must hold. ``cursor`` is the id of the last one seen."""
-        d = tables.Design
-        order = d.id if label is None else tables.DesignLabel.design_id  # the index of labels has that order
-        query = select(d).order_by(order.desc()).limit(limit + 1)
-        if label is not None:
-            query = query.join(tables.DesignLabel, tables.DesignLabel.design_id == d.id)
-            query = query.where(tables.DesignLabel.label == label)
-        if cursor is not None:
-            query = query.where(order < cursor)
-        if status is not None:
-            query = query.where(d.status == status)
-        # Ids begin with the time of their maker's clock: a day either side is generous, and lets the index do the rest.
-        if created_after is not None:
-            query = query.where(d.created_at >= created_after, order >= id_at(created_after - 86400))
-        if created_before is not None:
-            query = query.where(d.created_at < created_before, order < id_at(created_before + 86400))
-        if owner is not None:
-            query = query.where(d.owner == owner)
-        if study_id is not None:
-            query = query.where(d.study_id == study_id)
+        query = listing.newest_first(
+            cursor=cursor,
+            status=status,
+            label=label,
+            created_after=created_after,
+            created_before=created_before,
+            owner=owner,
+            study_id=study_id,
+        )
         with self.database.read() as session:
-            rows = session.scalars(query).all()
+            rows = session.scalars(query.limit(limit + 1)).all()
         items = tuple(views.design_record(row) for row in rows[:limit])
         return Page(items, items[-1].id if len(rows) > limit else None)
 
@@ -271,69 +248,19 @@ class Records:
 
     def workers(self) -> tuple[WorkerRecord, ...]:
         """All registered workers; ``alive`` where the last heartbeat is younger than ``worker_gone_s``."""
-        with self.database.read() as session:
-            now = moment(session)
-            rows = session.scalars(select(tables.Worker).order_by(tables.Worker.started_at)).all()
-            return tuple(views.worker_record(r, now - r.heartbeat_at < self.settings.worker_gone_s) for r in rows)
+        return fleet.workers(self.database, self.settings.worker_gone_s)
 
     def live_queues(self) -> frozenset[str]:
         """Queues that some living worker serves: ask for ``gpu`` to resolve ``auto``, for ``cfd`` before evaluating."""
         with self.database.read() as session:
-            return self._live_queues(session)
+            return live_queues(session, self.settings.worker_gone_s)
 
     def queues(self) -> tuple[QueueFacts, ...]:
         """What waits and runs on each queue."""
-        d = tables.Design
-        with self.database.read() as session:
-            now = moment(session)
-            waits = and_(d.status.in_(views.LIVE), d.lease_until.is_(None))
-            runs = and_(d.status == "running", d.lease_until.is_not(None))
-            counts = {
-                name: (waiting, running, now - oldest if oldest is not None else 0.0)
-                for name, waiting, running, oldest in session.execute(
-                    select(
-                        d.queue,
-                        func.count().filter(waits),
-                        func.count().filter(runs),
-                        func.min(d.waiting_since).filter(waits),
-                    )
-                    .where(d.status.in_(views.LIVE))
-                    .group_by(d.queue)
-                )
-            }
-            living: dict[str, int] = {}
-            for name in session.scalars(
-                select(tables.Worker.queue).where(tables.Worker.heartbeat_at > now - self.settings.worker_gone_s)
-            ):
-                living[name] = living.get(name, 0) + 1
-        return tuple(
-            QueueFacts(name, *counts.get(name, (0, 0, 0.0)), living.get(name, 0)) for name in ("cpu", "gpu", "cfd")
-        )
+        return fleet.queues(self.database, self.settings.worker_gone_s)
 
     def counts(self) -> dict[str, int]:
         """Number of designs by status."""
         with self.database.read() as session:
             rows = session.execute(select(tables.Design.status, func.count()).group_by(tables.Design.status))
             return {row[0]: row[1] for row in rows}
-
-    def _live_queues(self, session: Session) -> frozenset[str]:
-        return live_queues(session, self.settings.worker_gone_s)
-
-
-__all__ = [
-    "ArtifactRecord",
-    "DesignRecord",
-    "DomainRecord",
-    "EventRecord",
-    "IdempotencyConflict",
-    "NewDesign",
-    "Page",
-    "QueueFacts",
-    "Records",
-    "WorkerRecord",
-    "add_design",
-    "change",
-    "end",
-    "live_queues",
-    "new_id",
-]

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import delete, select, update
+from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
 from dualms.spec import Spec
@@ -104,9 +104,10 @@ def add_design(session: Session, new: NewDesign, design_id: str, now: float, liv
 
 
 def live_queues(session: Session, gone_s: float) -> frozenset[str]:
-    """Queues with a worker that has shown signs of life within ``gone_s``."""
+    """Queues with a worker that has shown signs of life within ``gone_s``, either side of now: clocks are set back."""
     w = tables.Worker
-    return frozenset(session.scalars(select(w.queue).where(w.heartbeat_at > Now() - gone_s, w.draining.is_(False))))
+    lives = func.abs(Now() - w.heartbeat_at) < gone_s
+    return frozenset(session.scalars(select(w.queue).where(lives, w.draining.is_(False))))
 
 
 def end(

@@ -6,6 +6,7 @@ It never imports torch: the steps run in child processes.
 from __future__ import annotations
 
 import ctypes
+import faulthandler
 import logging
 import os
 import platform
@@ -30,7 +31,8 @@ from worker.leases import Leases
 from worker.logs import log_to_stderr
 from worker.queue import Wakeups, celery_app
 from worker.reaper import Reaper
-from worker.records import Records, new_id
+from worker.records import Records
+from worker.rows import new_id
 from worker.scratch import sweep
 from worker.settings import Settings
 from worker.stores import open_store
@@ -46,9 +48,10 @@ log = logging.getLogger(__name__)
 
 def main() -> None:
     """Serve the queue that the arguments name until SIGTERM."""
-    queue, concurrency = sys.argv[1], int(sys.argv[2])
-    _die_with_parent()
+    queue, concurrency, parent = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    _die_with(parent)
     log_to_stderr()
+    faulthandler.register(signal.SIGUSR1)  # kill -USR1: where each thread is, on stderr
     # Each message would be two lines; and the warning about root is about pickles, which are refused here.
     for name in ("celery.worker.strategy", "celery.app.trace"):
         logging.getLogger(name).setLevel(logging.WARNING)
@@ -79,7 +82,8 @@ def main() -> None:
 
     def on_stop(**_: object) -> None:
         drain.set()
-        registration.drain()
+        # Aside: this is a signal's handler, and the records may be locked for a while.
+        threading.Thread(target=registration.drain, name="draining", daemon=True).start()
 
     signals.worker_shutting_down.connect(on_stop, weak=False)
     signals.setup_logging.connect(lambda **_: None, weak=False)
@@ -178,9 +182,12 @@ def _start_again_if_deaf(station: Station) -> None:
     station.pulse.touch()
 
 
-def _die_with_parent() -> None:
+def _die_with(parent: int) -> None:
+    """End when the parent ends, even where that was before this process had come so far (Linux)."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,9 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from worker import tables, views
-from worker.database import Now
-from worker.records import IdempotencyConflict, NewDesign, Records, add_design, live_queues, new_id
+from worker.idempotency import made_before, once, remember
+from worker.records import Records
+from worker.rows import NewDesign, add_design, live_queues, moment, new_id
 from worker.views import DesignRecord, Status
 
 
@@ -141,11 +142,17 @@ class Studies:
         IdempotencyConflict
             If the key belongs to another request.
         """
+        return once(lambda: self._create(new, idempotency))
+
+    def _create(self, new: NewStudy, given: tuple[str, str] | None) -> tuple[StudyRecord, bool]:
         with self._database.write() as session:
-            if idempotency is not None and (known := self._known(session, new.owner or "", idempotency)) is not None:
-                return _record(session, known), False
             study_id, ids = new_id(), _ids(len(new.points))
-            now = session.execute(select(Now())).scalar_one()
+            if given is not None:
+                known = made_before(session, tables.Study, new.owner, given, self._settings.idempotency_days)
+                if known is not None:
+                    return _record(session, known), False
+                remember(session, new.owner, given, study_id)
+            now = moment(session)
             live = live_queues(session, self._settings.worker_gone_s)
             study = tables.Study(
                 id=study_id,
@@ -164,15 +171,6 @@ class Studies:
             for (_, design), design_id in zip(new.points, ids, strict=True):
                 own = replace(design, study_id=study_id, labels=(*design.labels, f"study={study_id}"))
                 add_design(session, own, design_id, now, live)
-            if idempotency is not None:
-                key, digest = idempotency
-                owner = new.owner or ""
-                session.add(
-                    tables.IdempotencyKey(
-                        owner=owner, key=key, request_sha256=digest, design_id=study_id, created_at=now
-                    )
-                )
-                session.flush()
             return _record(session, study), True
 
     def study(self, study_id: str) -> StudyRecord | None:
@@ -219,23 +217,6 @@ class Studies:
             session.execute(delete(tables.IdempotencyKey).where(tables.IdempotencyKey.design_id == study_id))
             session.execute(delete(tables.Study).where(tables.Study.id == study_id))
         return True
-
-    def _known(self, session: Session, owner: str, idempotency: tuple[str, str]) -> tables.Study | None:
-        """The study that the same key and request gave before; a key that is too old or whose study is gone goes."""
-        key, digest = idempotency
-        known = session.get(tables.IdempotencyKey, (owner, key), with_for_update=True)
-        if known is None:
-            return None
-        now = session.execute(select(Now())).scalar_one()
-        study = session.get(tables.Study, known.design_id)
-        fresh = known.created_at >= now - self._settings.idempotency_days * 86400
-        if fresh and known.request_sha256 != digest:
-            raise IdempotencyConflict(key)
-        if fresh and study is not None:
-            return study
-        session.delete(known)
-        session.flush()
-        return None
 
 
 def _ids(count: int) -> list[str]:

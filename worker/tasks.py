@@ -18,7 +18,8 @@ from dualms.spec import DistilledField, NeuralField, Spec
 from worker.artifacts import ArtifactStore
 from worker.child import Limits, Outcome, Watch, run_child
 from worker.failures import GPU_OUT_OF_MEMORY, Failure, failure_of
-from worker.leases import Lease, Leases, StepRecord, files_from
+from worker.lease import Lease, StepRecord, files_from
+from worker.leases import Leases
 from worker.logs import current_job
 from worker.patience import AWAY, patiently
 from worker.pulse import Pulse
@@ -101,14 +102,14 @@ def carry_out(station: Station, lease: Lease) -> DesignRecord | None:
     patience_s = station.settings.lease_s
     if lease.of_other_code:
         reason = "DualMS was updated since the earlier steps"
-        return patiently(lambda: leases.start_over(lease, reason), patience_s)
-    result = patiently(lambda: leases.cached(lease), patience_s)
+        return patiently(lambda: leases.requeue.start_over(lease, reason), patience_s)
+    result = patiently(lambda: leases.cache.find(lease.key), patience_s)
     if result is not None:
         if all(store.size(file.sha256) == file.size for file in result.files):
             log.info("step %s: reused", lease.step)
             record = StepRecord(result.files, result.metrics, {})
             return patiently(lambda: leases.commit(lease, record, reused=True), patience_s)
-        leases.forget(lease.key)
+        leases.cache.forget(lease.key)
     outcome = _run(station, lease)
     if outcome.ending != "done":
         station.tracing.fail(outcome.failure.code if outcome.failure is not None else outcome.reason)
@@ -125,7 +126,7 @@ def _carry_out_or_record_why_not(station: Station, lease: Lease) -> DesignRecord
     except OSError as error:  # the store or the scratch folder, not the design
         reason = f"this machine could not run it: {type(error).__name__}"
         log.exception("step %s: %s", lease.step, reason)
-        return patiently(lambda: station.leases.hand_back(lease, reason), patience_s)
+        return patiently(lambda: station.leases.requeue.hand_back(lease, reason), patience_s)
     except Exception as error:  # noqa: BLE001 - the task's boundary: whatever went wrong ends up in the record
         failure = failure_of(error)
         patiently(lambda: station.leases.fail(lease, failure), patience_s)
@@ -141,12 +142,12 @@ def _record(station: Station, lease: Lease, outcome: Outcome) -> DesignRecord | 
         case "failed":
             return _failed(station, lease, outcome.failure or failure_of(RuntimeError("no failure given")))
         case "missing":
-            return leases.start_over(lease, outcome.reason)
+            return leases.requeue.start_over(lease, outcome.reason)
         case "stopped":
             # If the lease is lost this writes nothing; else the worker is to end, which is not the step's fault.
-            return leases.hand_back(lease, "its worker was stopped", counts=False)
+            return leases.requeue.hand_back(lease, "its worker was stopped", counts=False)
         case "lost":
-            return leases.hand_back(lease, outcome.reason)
+            return leases.requeue.hand_back(lease, outcome.reason)
 
 
 def _run(station: Station, lease: Lease) -> Outcome:
@@ -197,6 +198,6 @@ def _failed(station: Station, lease: Lease, failure: Failure) -> DesignRecord | 
         points = max(method.points // 4, 64)
         smaller: Spec = lease.spec.model_copy(update={"field": method.model_copy(update={"points": points})})
         reason = f"the GPU's memory is too small for {method.points} points a step; again with {points}"
-        return station.leases.hand_back(lease, reason, spec=smaller, points=points)
+        return station.leases.requeue.hand_back(lease, reason, spec=smaller, points=points)
     station.leases.fail(lease, failure)
     return None

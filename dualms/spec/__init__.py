@@ -7,6 +7,7 @@ Every field has a default (but ``units`` and the ports), bounds, a unit and its 
 from dualms.spec.body import (
     GradedAlong,
     GradedAround,
+    PicturesSpec,
     ShellSpec,
     SurfaceSpec,
     WallFraction,
@@ -61,6 +62,7 @@ __all__ = [
     "PartitionSpec",
     "PathFlow",
     "PhaseField",
+    "PicturesSpec",
     "Point",
     "PortSpec",
     "PotentialFlow",

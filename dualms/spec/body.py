@@ -16,6 +16,14 @@ class SurfaceSpec(Model):
     resolution: int = Field(256, ge=24, le=512, description="Voxels along the longest side. Paper, section 6.1: 256.")
 
 
+class PicturesSpec(Model):
+    """Pictures of the body."""
+
+    width: int = Field(
+        1280, ge=160, le=4096, description="Pixels across preview.png; the time goes with the square. Ours."
+    )
+
+
 class WallThickness(Model):
     """Wall given by its thickness."""
 

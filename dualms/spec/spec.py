@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from dualms.spec.body import ShellSpec, SurfaceSpec, WallSpec, WallThickness
+from dualms.spec.body import PicturesSpec, ShellSpec, SurfaceSpec, WallSpec, WallThickness
 from dualms.spec.evaluation import EvaluationSpec
 from dualms.spec.field import AutoField, FieldSpec
 from dualms.spec.flow import FlowSpec, PotentialFlow
@@ -31,6 +31,7 @@ class Spec(Model):
     wall: WallSpec = Field(default=WallThickness())
     shell: ShellSpec | None = Field(default=ShellSpec())
     build_direction: Point = Field((0.0, 0.0, 1.0), description="Up in the printer.")
+    pictures: PicturesSpec = Field(default=PicturesSpec())
     require: RequireSpec = Field(default=RequireSpec(), description="What the certificate must also meet.")
     evaluation: EvaluationSpec | None = Field(None, description="Solve the flow too (needs a cfd worker).")
     seed: int = Field(0, ge=0, lt=2**32, description="Seed of everything random.")

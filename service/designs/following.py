@@ -11,7 +11,7 @@ from fastapi.responses import Response
 from service.backend import Backend, design_not_found
 from service.conditional import matches
 from service.designs.views import FINAL, design_view, etag, retry_after_s
-from worker.records import DesignRecord
+from worker.views import DesignRecord
 
 
 async def follow(backend: Backend, design_id: str, wait_s: float, seen: str | None) -> Response:

@@ -18,13 +18,13 @@ from service.backend import Backend
 from service.designs.schemas import DesignIn, DesignOptions
 from service.domains.uploads import receive_domain
 from service.problems import FieldProblem, Problem, from_validation
-from worker.records import DomainRecord
+from worker.views import DomainRecord
 
 M = TypeVar("M", bound=BaseModel)
 
 MAX_SPEC_BYTES = 1024**2
 JSON_ADVICE = "Send one JSON object, as GET /openapi.json describes it."
-_FORM_FIELDS = frozenset({"domain", "spec", "name", "labels", "webhook", "deadline_s"})
+_FORM_FIELDS = frozenset({"domain", "spec", "name", "labels", "webhook", "deadline_s", "priority"})
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _from_form(backend: Backend, caller: Caller, form: FormData) -> Wanted:
 
 
 def _options(form: FormData) -> dict[str, Any]:
-    options: dict[str, Any] = {k: form[k] for k in ("name", "webhook", "deadline_s") if k in form}
+    options: dict[str, Any] = {k: form[k] for k in ("name", "webhook", "deadline_s", "priority") if k in form}
     if "labels" in form:
         options["labels"] = [label for text in form.getlist("labels") for label in str(text).split(",") if label]
     return options
@@ -137,4 +137,4 @@ def _missing(field: str, message: str) -> Problem:
 
 
 def _form_advice() -> str:
-    return "Send the file as 'domain' and the JSON as 'spec'; beside them name, labels, webhook, deadline_s."
+    return "Send the file as 'domain' and the JSON as 'spec'; beside them name, labels, webhook, deadline_s, priority."

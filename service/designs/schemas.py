@@ -55,6 +55,9 @@ class DesignOptions(BaseModel):
         allow_inf_nan=False,
         description="Fail if not ended within so many seconds.",
     )
+    priority: int = Field(
+        0, ge=-10, le=10, description="Higher goes first among one owner's designs; owners take turns whatever it is."
+    )
 
 
 class DesignIn(DesignOptions):

@@ -9,7 +9,9 @@ from service.designs.checks import check_against_domain
 from service.designs.requests import Wanted
 from service.designs.resolve import resolved
 from service.problems import Problem
-from worker.records import DesignRecord, IdempotencyConflict, NewDesign
+from worker.idempotency import IdempotencyConflict
+from worker.rows import NewDesign
+from worker.views import DesignRecord
 
 MAX_KEY = 255
 
@@ -38,6 +40,7 @@ def submit(backend: Backend, caller: Caller, wanted: Wanted, key: str | None) ->
         name=wanted.options.name,
         labels=wanted.options.labels,
         deadline_s=wanted.options.deadline_s,
+        priority=wanted.options.priority,
         webhook=wanted.options.webhook,
         owner=caller.owner,
         trace=backend.tracing.context(),

@@ -18,7 +18,7 @@ from service.designs.schemas import (
     Status,
 )
 from service.times import iso
-from worker.records import ArtifactRecord, DesignRecord
+from worker.views import ArtifactRecord, DesignRecord
 
 FINAL = frozenset({Status.SUCCEEDED, Status.FAILED, Status.CANCELLED})
 

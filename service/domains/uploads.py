@@ -13,7 +13,7 @@ from service.access import Caller, note, within_quota
 from service.backend import Backend
 from worker.artifacts import put_file, read_chunks
 from worker.inspection import inspect_upload
-from worker.records import DomainRecord
+from worker.views import DomainRecord
 
 SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf", ".step", ".stp")
 MAX_NAME = 200

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dualms.spec import Unit
 from service.domains.schemas import DomainOut, FacetOut
 from service.times import iso
-from worker.records import DomainRecord
+from worker.views import DomainRecord
 
 
 def domain_view(row: DomainRecord) -> DomainOut:

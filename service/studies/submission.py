@@ -19,8 +19,10 @@ from service.designs.resolve import resolved
 from service.designs.submission import MAX_KEY
 from service.problems import FieldProblem, Problem, from_dualms
 from service.studies.schemas import StudyIn
-from worker.records import DomainRecord, IdempotencyConflict, NewDesign
+from worker.idempotency import IdempotencyConflict
+from worker.rows import NewDesign
 from worker.studies import NewStudy, Studies, StudyRecord
+from worker.views import DomainRecord
 
 
 def submit_study(backend: Backend, caller: Caller, wanted: StudyIn, key: str | None) -> StudyRecord:
@@ -106,6 +108,13 @@ def _resolved(point: Point, domain: DomainRecord, queues: frozenset[str]) -> Spe
 def _design(point: Point, domain: DomainRecord, wanted: StudyIn, owner: str | None, trace: str | None) -> NewDesign:
     name = ", ".join(f"{path.rpartition('.')[2]}={json.dumps(v)}" for path, v in point.values.items())
     name = f"{wanted.name}: {name}" if wanted.name else name
+    # One below a single design's: whoever sends one while their study runs does not wait for all of it.
     return NewDesign(
-        domain_id=domain.id, spec=point.spec, name=name[:200], labels=wanted.labels, owner=owner, trace=trace
+        domain_id=domain.id,
+        spec=point.spec,
+        name=name[:200],
+        labels=wanted.labels,
+        owner=owner,
+        priority=-1,
+        trace=trace,
     )

@@ -82,6 +82,7 @@ def small_spec(fluids: FluidsSpec, **changes: object) -> Spec:
         "partition": {"seconds": 0.05},
         "field": {"method": "phase-field", "resolution": 48},
         "surface": {"resolution": 64},
+        "pictures": {"width": 320},
         "wall": {"thickness": 0.8},
         "shell": {"thickness": 1.5},
     }

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from dualms.pipeline import run_step
 from dualms.progress import Cancelled, Silent
@@ -62,6 +63,11 @@ def test_every_file_that_a_step_names_is_there(designed: tuple[Path, Recorder]) 
     for step in ("prepare", "solve", "build"):
         for name in (*ARTIFACTS[step], *INTERNAL[step]):
             assert (folder / name).stat().st_size > 0, name
+
+
+def test_the_preview_is_as_wide_as_asked(designed: tuple[Path, Recorder]) -> None:
+    with Image.open(designed[0] / "preview.png") as picture:
+        assert picture.width == 320
 
 
 def test_each_fluid_is_one_part_from_inlet_to_outlet(designed: tuple[Path, Recorder]) -> None:

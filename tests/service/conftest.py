@@ -161,6 +161,7 @@ def spec() -> dict[str, Any]:
         "partition": {"method": "anneal", "seconds": 0.1},
         "field": {"method": "phase-field", "resolution": 40},
         "surface": {"resolution": 48},
+        "pictures": {"width": 320},
         "wall": {"thickness": 1.0},
         "shell": {"thickness": 1.0},
     }

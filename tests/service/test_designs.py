@@ -72,6 +72,7 @@ def small(**changes: Any) -> dict[str, Any]:
         "partition": {"method": "anneal", "seconds": 0.1},
         "field": {"method": "phase-field", "resolution": 40},
         "surface": {"resolution": 48},
+        "pictures": {"width": 320},
         "wall": {"thickness": 1.0},
         # A seed of this file's own: what other tests have designed would be reused, and show no stage on its way.
         "seed": 2,

@@ -29,6 +29,7 @@ def base() -> dict[str, Any]:
         "partition": {"method": "anneal", "seconds": 0.1},
         "field": {"method": "phase-field", "resolution": 40},
         "surface": {"resolution": 48},
+        "pictures": {"width": 320},
     }
 
 

@@ -17,15 +17,17 @@ import trimesh
 
 from dualms.spec import Spec
 from tests.broker import Broker
+from tests.postgres import Postgres
 from tests.proxy import Proxy
 from worker.artifacts import put_file
-from worker.database import Database
-from worker.leases import FileRecord, Leases, StepRecord
+from worker.lease import FileRecord, StepRecord
+from worker.leases import Leases
 from worker.queue import Wakeups
-from worker.records import DesignRecord, DomainRecord, NewDesign, Records
+from worker.records import Records
+from worker.rows import NewDesign
 from worker.settings import Settings
 from worker.stores import open_store
-from worker.tables import Base
+from worker.views import DesignRecord, DomainRecord
 
 FACES = ("inlets", "outlets")
 
@@ -41,6 +43,7 @@ def small_spec(**changes: Any) -> Spec:
             "partition": {"seconds": 0.1},
             "field": {"method": "phase-field", "resolution": 32},
             "surface": {"resolution": 40},
+            "pictures": {"width": 160},
             "wall": {"thickness": 1.5},
             "shell": None,
         }
@@ -54,21 +57,24 @@ def box_file(folder: Path) -> Path:
     return path
 
 
-def urls() -> list[str]:
-    """SQLite always; PostgreSQL where DUALMS_TEST_POSTGRES_URL names a database that may be emptied."""
-    return ["sqlite", *([os.environ["DUALMS_TEST_POSTGRES_URL"]] if "DUALMS_TEST_POSTGRES_URL" in os.environ else [])]
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Postgres]:
+    """A server whose databases tests may break, each its own."""
+    server = Postgres()
+    server.start()
+    yield server
+    server.close()
 
 
-@pytest.fixture(params=urls(), ids=lambda url: url.split(":")[0])
-def settings(request: pytest.FixtureRequest, tmp_path: Path) -> Settings:
-    url = "" if request.param == "sqlite" else request.param
-    if url:
-        database = Database(url)
-        Base.metadata.drop_all(database.engine)
-        with database.engine.begin() as connection:
-            connection.exec_driver_sql("DROP TABLE IF EXISTS alembic_version")
-        database.close()
-    return Settings(data_dir=tmp_path / "data", database_url=url, redis_url="")
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest) -> str:
+    """An empty database of each kind that the records can be in; empty text: SQLite in the data folder."""
+    return "" if request.param == "sqlite" else str(request.getfixturevalue("postgres").emptied())
+
+
+@pytest.fixture
+def settings(database_url: str, tmp_path: Path) -> Settings:
+    return Settings(data_dir=tmp_path / "data", database_url=database_url, redis_url="")
 
 
 @pytest.fixture

@@ -17,11 +17,13 @@ from hypothesis import strategies as st
 from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, TooManyBytes, fetch
 from worker.folder_store import FolderStore
 from worker.garbage import collect
-from worker.leases import FileRecord, Leases, StepRecord
+from worker.lease import FileRecord, StepRecord
+from worker.leases import Leases
 from worker.object_store import ObjectStore
-from worker.records import DesignRecord, Records
+from worker.records import Records
 from worker.settings import Settings
 from worker.stores import open_store
+from worker.views import DesignRecord
 
 
 @pytest.fixture(params=["folder", "memory", "obstore-folder"])

@@ -10,7 +10,8 @@ from sqlalchemy import text
 from tests.worker.conftest import result_of, small_spec
 from worker.keys import Keys, Quotas, Usage, exceeded
 from worker.leases import Leases
-from worker.records import NewDesign, Records
+from worker.records import Records
+from worker.rows import NewDesign
 
 
 @pytest.fixture

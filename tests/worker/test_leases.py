@@ -12,8 +12,11 @@ from dualms.steps import step_keys
 from tests.worker.conftest import result_of, small_spec
 from worker import tables, totals
 from worker.failures import Failure
-from worker.leases import Lease, Leases, StepRecord
-from worker.records import DesignRecord, DomainRecord, NewDesign, Records
+from worker.lease import Lease, StepRecord
+from worker.leases import Leases
+from worker.records import Records
+from worker.rows import NewDesign
+from worker.views import DesignRecord, DomainRecord
 
 STEPS = ("prepare", "solve", "build")
 
@@ -65,14 +68,14 @@ def test_many_workers_claim_each_design_once(records: Records, leases: Leases, d
 
 def test_a_late_write_is_refused(records: Records, leases: Leases, design: DesignRecord) -> None:
     late = claim(leases, "slow")
-    assert leases.expire(late.design, "gone") is not None
+    assert leases.requeue.expire(late.design, "gone") is not None
     assert not leases.renew(late)
     current = claim(leases, "quick")
     before = records.design(design.id)
     assert not leases.renew(late, ("graph", 0.9, ""))
     assert leases.commit(late, result_of("prepare")) is None
     assert not leases.fail(late, Failure("x", "y"))
-    assert leases.hand_back(late, "no") is None
+    assert leases.requeue.hand_back(late, "no") is None
     assert not leases.keep_checkpoint(late, "1" * 64, 1)
     assert records.design(design.id) == before
     assert leases.commit(current, result_of("prepare")) is not None
@@ -101,8 +104,8 @@ def test_a_final_status_never_changes(records: Records, leases: Leases, design: 
     records.cancel(design.id)
     leases.fail(lease, Failure("late", "late"))
     leases.commit(lease, result_of("build"))
-    leases.hand_back(lease, "late")
-    leases.expire(lease.design, "late")
+    leases.requeue.hand_back(lease, "late")
+    leases.requeue.expire(lease.design, "late")
     leases.renew(lease, ("report", 1.0, "late"))
     assert records.design(design.id) == final
     assert records.events(design.id)[-1].kind == ending
@@ -128,9 +131,9 @@ def test_random_histories_keep_the_invariants(records: Records, leases: Leases, 
         elif move == "renew":
             leases.renew(lease, (result_stage(lease.step), rng.random(), ""))
         elif move == "back":
-            leases.hand_back(lease, "x", counts=rng.random() < 0.5)
+            leases.requeue.hand_back(lease, "x", counts=rng.random() < 0.5)
         elif move == "expire":
-            leases.expire(lease.design, "x")
+            leases.requeue.expire(lease.design, "x")
         elif move == "fail" and rng.random() < 0.05:
             leases.fail(lease, Failure("x", "y"))
         for design_id in made:
@@ -148,7 +151,7 @@ def test_random_histories_keep_the_invariants(records: Records, leases: Leases, 
 
 def test_a_step_is_started_a_bounded_number_of_times(records: Records, leases: Leases, design: DesignRecord) -> None:
     for _ in range(records.settings.max_tries):
-        leases.hand_back(claim(leases), "its process was ended by SIGKILL")
+        leases.requeue.hand_back(claim(leases), "its process was ended by SIGKILL")
     final = records.design(design.id)
     assert final is not None
     assert final.status == "failed"
@@ -159,7 +162,7 @@ def test_a_step_is_started_a_bounded_number_of_times(records: Records, leases: L
 
 def test_being_stopped_does_not_count_as_a_try(records: Records, leases: Leases, design: DesignRecord) -> None:
     for _ in range(2 * records.settings.max_tries):
-        leases.hand_back(claim(leases), "its worker was stopped", counts=False)
+        leases.requeue.hand_back(claim(leases), "its worker was stopped", counts=False)
     record = records.design(design.id)
     assert record is not None
     assert (record.status, record.tries) == ("running", 0)
@@ -168,28 +171,30 @@ def test_being_stopped_does_not_count_as_a_try(records: Records, leases: Leases,
 def test_a_checkpoint_outlives_its_process_and_not_its_step(leases: Leases, design: DesignRecord) -> None:
     first = claim(leases)
     assert leases.keep_checkpoint(first, "c" * 64, 9)
-    leases.hand_back(first, "killed")
+    leases.requeue.hand_back(first, "killed")
     second = claim(leases)
     assert second.checkpoint == {"sha256": "c" * 64, "size": 9}
     leases.commit(second, result_of("prepare"))
     assert claim(leases).checkpoint is None
 
 
-def test_owners_share_and_priorities_go_first(records: Records, leases: Leases, domain: DomainRecord) -> None:
+def test_owners_take_turns_and_each_owners_urgent_designs_go_first(
+    records: Records, leases: Leases, domain: DomainRecord
+) -> None:
     def add(owner: str, priority: int = 0) -> str:
         return records.create_design(NewDesign(domain.id, small_spec(), owner=owner, priority=priority))[0].id
 
-    first, second = add("many"), add("many")
-    other = add("few")
+    late, first, second = add("many", priority=-1), add("many"), add("many")
+    other, polite = add("few"), add("few", priority=-3)
     urgent = add("many", priority=5)
-    assert [claim(leases).id for _ in range(4)] == [urgent, other, first, second]
+    assert [claim(leases).id for _ in range(6)] == [urgent, other, first, polite, second, late]
 
 
 def test_a_changed_wall_reuses_the_field(records: Records, leases: Leases, design: DesignRecord) -> None:
     for step in STEPS:
         leases.commit(claim(leases), result_of(step))
     records.create_design(NewDesign(design.domain_id, small_spec(wall={"thickness": 2.0})))
-    assert leases.cached(claim(leases)) is not None
+    assert leases.cache.find(claim(leases).key) is not None
     keys = [step_keys("0" * 64, small_spec(wall={"thickness": t})) for t in (1.5, 2.0)]
     assert [keys[0][s] == keys[1][s] for s in STEPS] == [True, True, False]
 
@@ -201,7 +206,7 @@ def test_a_smaller_batch_is_kept_with_the_design(records: Records, leases: Lease
         session.execute(update(tables.Design).values(step="solve"))
     lease = claim(leases)
     smaller = spec.model_copy(update={"field": spec.field.model_copy(update={"points": 1024})})
-    leases.hand_back(lease, "too small", spec=smaller, points=1024)
+    leases.requeue.hand_back(lease, "too small", spec=smaller, points=1024)
     again = claim(leases)
     assert again.design.spec["field"]["points"] == 1024
     assert again.hints == {"points": 1024}
@@ -216,12 +221,12 @@ def test_an_update_of_the_code_starts_a_design_over(
     same = claim(leases)
     key = same.key
     assert not same.of_other_code
-    leases.hand_back(same, "x", counts=False)
+    leases.requeue.hand_back(same, "x", counts=False)
     monkeypatch.setattr("worker.lease.code_id", lambda: "99")
     lease = claim(leases)
     assert lease.of_other_code
     assert lease.key != key
-    assert leases.start_over(lease, "updated") is not None
+    assert leases.requeue.start_over(lease, "updated") is not None
     again = claim(leases)
     assert (again.step, again.of_other_code) == ("prepare", False)
 

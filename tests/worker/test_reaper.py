@@ -20,8 +20,10 @@ from worker.host import started_at, this_host
 from worker.leases import Leases
 from worker.queue import Wakeups
 from worker.reaper import Reaper
-from worker.records import DesignRecord, DomainRecord, NewDesign, Records
+from worker.records import Records
+from worker.rows import NewDesign
 from worker.settings import Settings
+from worker.views import DesignRecord, DomainRecord
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import multiprocessing
 import sqlite3
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,14 @@ from sqlalchemy import text
 from tests.worker.conftest import small_spec
 from worker import migrations
 from worker.database import Database
+from worker.idempotency import IdempotencyConflict
 from worker.leases import Leases
 from worker.migrations import NewerDatabase
-from worker.records import DesignRecord, DomainRecord, IdempotencyConflict, NewDesign, Records, new_id
+from worker.records import Records
+from worker.rows import NewDesign, new_id
 from worker.settings import Settings
 from worker.tables import Base
+from worker.views import DesignRecord, DomainRecord
 
 
 def test_migrations_make_the_tables_that_the_code_uses(records: Records) -> None:
@@ -60,6 +64,23 @@ def test_an_idempotency_key_gives_one_design(records: Records, domain: DomainRec
     other, made_other = records.create_design(NewDesign(domain.id, small_spec(), owner="x"), ("key", "b" * 64))
     assert made_other
     assert other.id != first.id
+
+
+def test_equal_requests_at_the_same_moment_give_one_design(records: Records, domain: DomainRecord) -> None:
+    new = NewDesign(domain.id, small_spec())
+    with ThreadPoolExecutor(8) as pool:
+        got = list(pool.map(lambda _: records.create_design(new, ("key", "a" * 64)), range(24)))
+    assert [made for _, made in got].count(True) == 1
+    assert len({design.id for design, _ in got}) == 1
+    assert records.counts() == {"queued": 1}
+
+
+def test_equal_uploads_at_the_same_moment_give_one_domain(records: Records) -> None:
+    def add(_: int) -> DomainRecord:
+        return records.add_domain(id="a", sha256="a", size=1, name="x", suffix=".stl", units="mm", inspection={})
+
+    with ThreadPoolExecutor(8) as pool:
+        assert len(set(map(str, pool.map(add, range(24))))) == 1
 
 
 def test_pages_hold_every_design_once_newest_first(records: Records, domain: DomainRecord) -> None:

@@ -8,11 +8,13 @@ import pytest
 
 from tests.worker.conftest import result_of, small_spec
 from worker.garbage import collect
+from worker.idempotency import IdempotencyConflict
 from worker.leases import Leases
-from worker.records import DomainRecord, IdempotencyConflict, NewDesign, Records
+from worker.records import Records
+from worker.rows import NewDesign
 from worker.stores import open_store
 from worker.studies import NewStudy, Studies, StudyRecord
-from worker.views import FINAL
+from worker.views import FINAL, DomainRecord
 
 
 def new_study(domain: DomainRecord, seeds: int = 4, **changes: Any) -> NewStudy:

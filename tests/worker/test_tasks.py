@@ -9,11 +9,14 @@ import pytest
 from tests.worker.conftest import result_of, small_spec
 from worker.child import Outcome
 from worker.failures import GPU_OUT_OF_MEMORY, Failure, failure_of
-from worker.leases import Lease, Leases
+from worker.lease import Lease
+from worker.leases import Leases
 from worker.queue import Wakeups
-from worker.records import DomainRecord, NewDesign, Records
+from worker.records import Records
+from worker.rows import NewDesign
 from worker.stores import open_store
 from worker.tasks import Station, _record, carry_out, take_one
+from worker.views import DomainRecord
 
 
 @pytest.fixture
@@ -53,12 +56,12 @@ def test_a_cached_result_whose_file_is_gone_is_not_used(
     leases.commit(claim(leases), result_of("prepare"))
     records.create_design(NewDesign(domain.id, small_spec(), priority=1))
     lease = claim(leases)
-    assert leases.cached(lease) is not None
+    assert leases.cache.find(lease.key) is not None
     # The domain's bytes are not in the store either, so the child cannot start: the design goes back to its beginning.
     following = carry_out(station, lease)
     assert following is not None
     assert (following.step, following.final) == ("prepare", False)
-    assert leases.cached(lease) is None
+    assert leases.cache.find(lease.key) is None
 
 
 def test_inputs_that_stay_lost_end_the_design(

@@ -16,8 +16,10 @@ from sqlalchemy import update
 from tests.worker.conftest import small_spec
 from worker import tables
 from worker.database import Now
-from worker.records import DesignRecord, DomainRecord, NewDesign, Records
+from worker.records import Records
+from worker.rows import NewDesign
 from worker.settings import Settings
+from worker.views import DesignRecord, DomainRecord
 from worker.webhooks import BadAddress, Deliverer, check_address, signature, webhook_secret
 
 
