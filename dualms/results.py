@@ -19,6 +19,7 @@ from dualms.graph.graph import Graph
 from dualms.measure.report import Report
 from dualms.pictures import preview
 from dualms.spec import Unit
+from dualms.steps import ARTIFACTS, sha256_of
 from dualms.surface import Surface
 
 
@@ -102,7 +103,9 @@ def write_evaluation(
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write ``report.json`` and the self-contained page ``report.html``."""
+    """Write ``report.json`` and the self-contained page ``report.html``, with the hashes of the files beside them."""
+    files = [f for step in ARTIFACTS.values() for f in step if not f.startswith("report")]
+    report = report.with_files({name: sha256_of(folder / name) for name in files if (folder / name).exists()})
     write_json(folder / "report.json", report.model_dump(mode="json"))
     environment = Environment(
         loader=PackageLoader("dualms", "pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True

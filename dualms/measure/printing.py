@@ -5,6 +5,8 @@ from __future__ import annotations
 import igl
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from dualms.body.body import Body
 from dualms.body.patches import INTERFACE
@@ -45,6 +47,30 @@ def wall_samples(body: Body, seed: int) -> tuple[Array, Array]:
 def overhang_fraction(mesh: TriangleMesh, up: Array) -> float:
     """Share of a solid's surface that faces down more steeply than 45° to the build direction."""
     return float(_overhangs(mesh, up[None] / np.linalg.norm(up))[0])
+
+
+def wall_overhang(body: Body, up: Array) -> tuple[float, float]:
+    """Area (m²) of the separating wall's undersides flatter than 45°, and its share of the wall's two sides."""
+    unit = up / np.linalg.norm(up)
+    under = total = 0.0
+    for fluid in (body.hot, body.cold):
+        interface = fluid.mesh.part(fluid.patch == INTERFACE)
+        crosses, areas = interface.crosses, interface.areas
+        # A fluid's outward normal points into the wall: the wall faces down where that points up.
+        under += float(areas[crosses @ unit > 2 * areas * np.sin(np.radians(OVERHANG_DEGREES))].sum())
+        total += float(areas.sum())
+    return under, under / total if total else 0.0
+
+
+def trapped_volume(solid: TriangleMesh) -> float:
+    """Volume of the cavities inside a solid that no opening reaches: its inner shells."""
+    n = len(solid.vertices)
+    edges = np.concatenate([solid.faces[:, [0, 1]], solid.faces[:, [1, 2]]])
+    links = coo_array((np.ones(len(edges)), tuple(edges.T)), shape=(n, n))
+    _, label = connected_components(links, directed=False)
+    shells = label[solid.faces[:, 0]]
+    volumes = [solid.part(shells == k).volume for k in np.unique(shells)]
+    return float(-sum(v for v in volumes if v < 0))
 
 
 def best_build_direction(mesh: TriangleMesh) -> tuple[Array, float]:

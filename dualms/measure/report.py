@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import platform
-from importlib.metadata import version as installed
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from dualms import __version__
 from dualms.body.body import Body, Fluid
 from dualms.body.patches import INTERFACE
 from dualms.body.thickness import Wall, thickness_at
@@ -20,107 +14,31 @@ from dualms.body.walls import half_on_grid, wall_share
 from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.field.field import Field
+from dualms.measure.certificate import Check, Measured, certificate
 from dualms.measure.channels import Channel, measure_channel
 from dualms.measure.curvature import mean_curvature
-from dualms.measure.printing import best_build_direction, overhang_fraction, wall_samples
-from dualms.spec import RequireSpec, Spec
+from dualms.measure.figures import (
+    BuildDirection,
+    CurvatureFigures,
+    Figures,
+    FluidFigures,
+    FluidsFigures,
+    OverhangFigures,
+    PartitionFigures,
+    SeparationFigures,
+    WallFigures,
+)
+from dualms.measure.printing import (
+    best_build_direction,
+    overhang_fraction,
+    trapped_volume,
+    wall_overhang,
+    wall_samples,
+)
+from dualms.measure.provenance import Provenance, provenance
+from dualms.measure.separation import separation
+from dualms.spec import Spec
 from dualms.surface import Surface
-from dualms.triangles import TriangleMesh
-
-LIBRARIES = ("numpy", "scipy", "scikit-image", "trimesh", "manifold3d", "libigl", "torch", "numba", "pyamg")
-
-
-class Figures(BaseModel):
-    """A group of figures."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class CurvatureFigures(Figures):
-    """Mean curvature of the separating surface, a strip along its border left out."""
-
-    abs_median_per_m: float
-    abs_p90_per_m: float
-    abs_p99_per_m: float
-    abs_median_times_dh: float
-    rms_times_cell: float
-
-
-class WallFigures(Figures):
-    """Thickness of the separating wall: asked (its mean, where it is graded), measured, and measured over asked.
-
-    The least and the greatest are the 1st and 99th percentile.
-    """
-
-    thickness_m: float
-    thickness_min_m: float
-    thickness_max_m: float
-    over_asked_min: float
-    over_asked_max: float
-
-
-class FluidFigures(Figures):
-    """One fluid's volume and channel."""
-
-    volume_m3: float
-    interface_area_m2: float
-    wetted_area_m2: float
-    hydraulic_diameter_m: float
-    components: int
-    dead_end_fraction: float
-    min_channel_m: float
-    passage_m: float
-    filled_fraction: float
-    inlet_to_outlet_connected: bool
-
-
-class FluidsFigures(Figures):
-    """Both fluids."""
-
-    hot: FluidFigures
-    cold: FluidFigures
-
-
-class PartitionFigures(Figures):
-    """The cut of the graph."""
-
-    method: str
-    sites: int
-    edges: int
-    cut_weight: float
-    total_weight: float
-    upper_bound: float
-    iterations: int
-    history: tuple[tuple[float, float], ...]
-
-
-class Check(Figures):
-    """One line of the certificate."""
-
-    name: str
-    value: float
-    limit: str
-    passed: bool
-
-
-class BuildDirection(Figures):
-    """The direction to print in that leaves the least overhang."""
-
-    direction: tuple[float, float, float]
-    overhang_area_fraction: float
-
-
-class Provenance(Figures):
-    """What made this, exactly."""
-
-    version: str
-    seed: int
-    domain_sha256: str
-    spec: dict[str, Any]
-    device: str
-    field_method: str
-    libraries: dict[str, str]
-    python: str
 
 
 class Report(Figures):
@@ -140,9 +58,11 @@ class Report(Figures):
     volume_closure_error: float
     fluids: FluidsFigures
     leak_free: bool
+    separation: SeparationFigures
     watertight: dict[str, bool]
     trapped_volume_m3: float
     overhang_area_fraction: float
+    overhang: OverhangFigures
     best_build_direction: BuildDirection
     partition: PartitionFigures
     certificate: tuple[Check, ...]
@@ -154,6 +74,11 @@ class Report(Figures):
     def timed(self, seconds: dict[str, float]) -> Report:
         """The report with the seconds that each stage took."""
         return self.model_copy(update={"timings_s": {k: round(v, 3) for k, v in seconds.items()}})
+
+    def with_files(self, sha256: dict[str, str]) -> Report:
+        """The report with the hashes of the files that go with it."""
+        known = self.provenance.model_copy(update={"files_sha256": self.provenance.files_sha256 | sha256})
+        return self.model_copy(update={"provenance": known})
 
 
 def make_report(
@@ -196,36 +121,58 @@ def make_report(
         _fluid(fluid, _channel(domain, surface, body, asked, outside, sign), domain.scale_m)
         for fluid, sign in ((body.hot, 1), (body.cold, -1))
     )
-    fluids = FluidsFigures(hot=hot, cold=cold)
     wall = _wall(domain, body, asked, spec.seed)
     solid_volume = body.solid.volume
     filled = solid_volume + body.dropped_m3 + hot.volume_m3 + cold.volume_m3
-    closure = abs(filled / body.outline_m3 - 1)
     watertight = {
         "solid": body.solid.is_closed,
         "fluid_hot": body.hot.mesh.is_closed,
         "fluid_cold": body.cold.mesh.is_closed,
     }
-    figures: dict[str, Any] = {
-        "units": units,
-        "scale_m": domain.scale_m,
-        "domain_volume_m3": volume,
-        "area_m2": area,
-        "area_density_per_m": area / volume,
-        "mean_curvature": _curvature(surface, volume, (hot, cold), len(partition.labels)),
-        "wall": wall,
-        "shell_thickness_m": body.shell_m,
-        "solid_volume_m3": solid_volume,
-        "solid_volume_fraction": solid_volume / volume,
-        "wall_volume_fraction": wall_share(surface, half_on_grid(surface, asked)),
-        "volume_closure_error": closure,
-        "fluids": fluids,
-        "leak_free": body.leak_m3 == 0.0,
-        "watertight": watertight,
-        "trapped_volume_m3": _trapped(body.solid),
-        "overhang_area_fraction": overhang_fraction(body.solid, np.array(spec.build_direction, dtype=float)),
-        "best_build_direction": _best_direction(body),
-        "partition": PartitionFigures(
+    up = np.array(spec.build_direction, dtype=float)
+    walk = separation(body, surface.grid.spacing * domain.scale_m)
+    overhang = overhang_fraction(body.solid, up)
+    under_wall, under_wall_share = wall_overhang(body, up)
+    measured = Measured(
+        fluids=FluidsFigures(hot=hot, cold=cold),
+        wall=wall,
+        separation=walk,
+        overhang=OverhangFigures(
+            area_m2=overhang * body.solid.area, wall_area_m2=under_wall, wall_fraction=under_wall_share
+        ),
+        common_volume_m3=body.leak_m3,
+        volume_closure_error=abs(filled / body.outline_m3 - 1),
+        trapped_volume_m3=trapped_volume(body.solid),
+        loose_volume_m3=body.dropped_m3,
+        solid_volume_m3=solid_volume,
+        meshes_not_closed=sum(not closed for closed in watertight.values()),
+        overhang_area_fraction=overhang,
+        solid_volume_fraction=solid_volume / volume,
+        area_density_per_m=area / volume,
+    )
+    lines = certificate(measured, spec.require)
+    return Report(
+        units=units,
+        scale_m=domain.scale_m,
+        domain_volume_m3=volume,
+        area_m2=area,
+        area_density_per_m=measured.area_density_per_m,
+        mean_curvature=_curvature(surface, volume, (hot, cold), len(partition.labels)),
+        wall=wall,
+        shell_thickness_m=body.shell_m,
+        solid_volume_m3=solid_volume,
+        solid_volume_fraction=measured.solid_volume_fraction,
+        wall_volume_fraction=wall_share(surface, half_on_grid(surface, asked)),
+        volume_closure_error=measured.volume_closure_error,
+        fluids=measured.fluids,
+        leak_free=body.leak_m3 == 0.0 and walk.hot_to_cold == 0,
+        separation=walk,
+        watertight=watertight,
+        trapped_volume_m3=measured.trapped_volume_m3,
+        overhang_area_fraction=overhang,
+        overhang=measured.overhang,
+        best_build_direction=_best_direction(body),
+        partition=PartitionFigures(
             method=partition.method,
             sites=len(partition.labels),
             edges=edges,
@@ -235,24 +182,12 @@ def make_report(
             iterations=partition.iterations,
             history=tuple((float(a), float(b)) for a, b in partition.history),
         ),
-        "timings_s": {},
-        "provenance": Provenance(
-            version=__version__,
-            seed=spec.seed,
-            domain_sha256=domain_sha256,
-            spec=spec.model_dump(mode="json"),
-            device=field.device,
-            field_method=field.method,
-            libraries={name: installed(name) for name in LIBRARIES},
-            python=platform.python_version(),
-        ),
-        "evaluation": None,
-    }
-    certificate = (
-        *_certificate(body, fluids, wall, closure, watertight, figures["trapped_volume_m3"]),
-        *_required(spec.require, fluids, wall, figures),
+        certificate=lines,
+        certified=all(line.passed for line in lines),
+        timings_s={},
+        provenance=provenance(spec, domain_sha256, field),
+        evaluation=None,
     )
-    return Report(**figures, certificate=certificate, certified=all(c.passed for c in certificate))
 
 
 def _fluid(fluid: Fluid, channel: Channel, scale_m: float) -> FluidFigures:
@@ -265,6 +200,7 @@ def _fluid(fluid: Fluid, channel: Channel, scale_m: float) -> FluidFigures:
         hydraulic_diameter_m=4 * volume / wetted,
         components=fluid.components,
         dead_end_fraction=channel.dead_end_fraction,
+        dead_end_volume_m3=channel.dead_end_fraction * volume,
         min_channel_m=channel.min_width * scale_m,
         passage_m=channel.passage * scale_m,
         filled_fraction=fluid.filled_m3 / (volume + fluid.filled_m3),
@@ -317,74 +253,3 @@ def _best_direction(body: Body) -> BuildDirection:
     direction, overhang = best_build_direction(body.solid)
     x, y, z = (float(v) for v in direction.round(6))
     return BuildDirection(direction=(x, y, z), overhang_area_fraction=overhang)
-
-
-def _trapped(solid: TriangleMesh) -> float:
-    """Volume of the cavities inside the solid that no opening reaches: its inner shells."""
-    n = len(solid.vertices)
-    edges = np.concatenate([solid.faces[:, [0, 1]], solid.faces[:, [1, 2]]])
-    links = coo_array((np.ones(len(edges)), tuple(edges.T)), shape=(n, n))
-    _, label = connected_components(links, directed=False)
-    shells = label[solid.faces[:, 0]]
-    volumes = [solid.part(shells == k).volume for k in np.unique(shells)]
-    return float(-sum(v for v in volumes if v < 0))
-
-
-def _certificate(
-    body: Body,
-    fluids: FluidsFigures,
-    wall: WallFigures,
-    closure: float,
-    watertight: dict[str, bool],
-    trapped: float,
-) -> tuple[Check, ...]:
-    both = ((name, getattr(fluids, name)) for name in ("hot", "cold"))
-    lines = [
-        _check("common volume of hot and cold, m³", body.leak_m3, "= 0", body.leak_m3 == 0),
-        _check("least wall thickness over asked", wall.over_asked_min, "≥ 0.95", wall.over_asked_min >= 0.95),
-        _check("greatest wall thickness over asked", wall.over_asked_max, "≤ 1.05", wall.over_asked_max <= 1.05),
-        _check("volume closure error", closure, "≤ 0.002", closure <= 0.002),
-        _check("meshes not closed", sum(not v for v in watertight.values()), "= 0", all(watertight.values())),
-        _check("trapped volume, m³", trapped, "= 0", trapped == 0),
-        _check("loose solid left out, m³", body.dropped_m3, "< 0.1 % of the solid",
-              body.dropped_m3 < 1e-3 * body.solid.volume),
-    ]  # fmt: skip
-    for name, fluid in both:
-        joined = fluid.inlet_to_outlet_connected
-        lines += [
-            _check(f"{name}: components", fluid.components, "= 1", fluid.components == 1),
-            _check(f"{name}: joined from inlets to outlets", joined, "= 1", joined),
-            _check(f"{name}: narrowest passage, m", fluid.passage_m, "> 0", fluid.passage_m > 0),
-            _check(f"{name}: dead-end share", fluid.dead_end_fraction, "≤ 0.25", fluid.dead_end_fraction <= 0.25),
-        ]
-    return tuple(lines)
-
-
-def _required(
-    require: RequireSpec, fluids: FluidsFigures, wall: WallFigures, figures: dict[str, Any]
-) -> tuple[Check, ...]:
-    """The specification's own requirements, as lines of the certificate."""
-    both = (fluids.hot, fluids.cold)
-    least = (
-        ("least channel, m", require.min_channel_m, min(f.min_channel_m for f in both)),
-        ("narrowest passage, m", require.min_passage_m, min(f.passage_m for f in both)),
-        ("least wall, m", require.min_wall_m, wall.thickness_min_m),
-        ("area density, 1/m", require.min_area_density_per_m, figures["area_density_per_m"]),
-    )
-    most = (
-        ("dead-end share", require.max_dead_end_fraction, max(f.dead_end_fraction for f in both)),
-        ("overhang share", require.max_overhang_fraction, figures["overhang_area_fraction"]),
-        ("solid share", require.max_solid_fraction, figures["solid_volume_fraction"]),
-    )
-    return (
-        *(
-            _check(f"required: {name}", v, f"≥ {limit:.4g}", v >= limit)
-            for name, limit, v in least
-            if limit is not None
-        ),
-        *(_check(f"required: {name}", v, f"≤ {limit:.4g}", v <= limit) for name, limit, v in most if limit is not None),
-    )
-
-
-def _check(name: str, value: float, limit: str, passed: bool) -> Check:
-    return Check(name=name, value=float(value), limit=limit, passed=bool(passed))
