@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import io
 import struct
-import zipfile
 from pathlib import Path
 
 import cascadio
 import trimesh
 
+from dualms import gltf
+from dualms.archives import refuse_unless_small
 from dualms.errors import MissingUnits, TooLarge, UnreadableFile, UnsupportedFormat
 from dualms.inspection import FacetRecord, Inspection
 from dualms.mesh import DomainMesh
@@ -164,24 +165,10 @@ def _look_before_loading(path: Path, suffix: str, max_faces: int) -> None:
                 advice="Export it with a coarser tessellation.",
                 measured={"faces": count, "limit": max_faces},
             )
-    if suffix == ".glb" and (size < 20 or struct.unpack("<I", head[8:12])[0] != size):
-        raise UnreadableFile(
-            f"The GLB header does not match the file's size of {size:,} bytes.",
-            advice="The file is truncated; send it again.",
-            measured={"bytes": size},
-        )
+    if suffix == ".glb":
+        gltf.refuse_unless_sound(path, max_faces)
     if suffix == ".3mf":
-        try:
-            with zipfile.ZipFile(path) as archive:
-                unzipped = sum(item.file_size for item in archive.infolist())
-        except zipfile.BadZipFile:
-            raise UnreadableFile("The 3MF archive is damaged.", advice="Export it again.") from None
-        if unzipped > MAX_UNZIPPED_BYTES:
-            raise TooLarge(
-                f"The 3MF archive unpacks to {unzipped / 1e6:,.0f} MB; the limit is {MAX_UNZIPPED_BYTES / 1e6:.0f} MB.",
-                advice="Export it with a coarser tessellation.",
-                measured={"unzipped_bytes": unzipped},
-            )
+        refuse_unless_small(path, MAX_UNZIPPED_BYTES)
 
 
 def _is_text(head: bytes) -> bool:
@@ -207,5 +194,7 @@ def _load(path: Path, suffix: str) -> trimesh.Trimesh:
         raise UnreadableFile(
             "The file holds no triangles.", advice="Export a triangulated solid, not curves or points."
         )
+    if mesh.faces.min() < 0:
+        raise UnreadableFile("A triangle names a vertex with a negative number.", advice="Export it again.")
     mesh.units = loaded.units
     return mesh

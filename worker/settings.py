@@ -29,7 +29,7 @@ class Settings(BaseSettings):
     upload_bytes: int = Field(500_000_000, gt=0, description="Largest domain file.")
     max_faces: int = Field(2_000_000, gt=0, description="Most triangles of a domain.")
     inspection_memory_bytes: int = Field(3 * GIB // 2, gt=0, description="Address space of the child that reads one.")
-    inspection_seconds: float = Field(30.0, gt=0, description="CPU time of that child; wall time: four times this.")
+    inspection_seconds: float = Field(25.0, gt=0, description="CPU time of that child; wall time: four times this.")
 
     step_memory_bytes: int = Field(12 * GIB, gt=0, description="Resident memory of one step, all its processes.")
     step_seconds: float = Field(6 * 3600.0, gt=0, description="Wall time of one step.")
@@ -52,7 +52,9 @@ class Settings(BaseSettings):
     blob_grace_s: float = Field(3600.0, ge=0, description="Bytes younger than this are never collected.")
     cache_days: float = Field(30.0, ge=0, description="Step results unused for so long are forgotten.")
     idempotency_days: float = Field(7.0, gt=0, description="How long an idempotency key is remembered.")
-    retention_days: float | None = Field(None, gt=0, description="Ended designs older than this are deleted.")
+    retention_days: float | None = Field(
+        None, gt=0, description="Ended designs, and unused domains, older than this are deleted."
+    )
 
     @cached_property
     def folder(self) -> Path:
