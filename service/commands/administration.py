@@ -8,28 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+
+from service.commands.console import Data, err, out
 
 if TYPE_CHECKING:
     from worker.keys import KeyRecord, Keys
     from worker.settings import Settings
 
-out = Console()
-err = Console(stderr=True)
-
 keys = typer.Typer(
     help="API keys of a team's service (in the data folder, or at DUALMS_DATABASE_URL).", no_args_is_help=True
 )
-
-
-Data = Annotated[
-    Path | None,
-    typer.Option(
-        "--data", help="Data folder of the service, as for dualms serve (or DUALMS_DATA_DIR).", show_default=False
-    ),
-]
 
 
 @keys.callback()
@@ -59,7 +49,9 @@ def create(
     quotas = Quotas(max_live_designs, max_stored_bytes, max_uploads_a_day)
     wanted = tuple(part.strip() for part in scopes.split(",") if part.strip())
     try:
-        key, secret = _keys().create(owner, name or owner, wanted, quotas, days)  # type: ignore[arg-type]
+        made = _keys()
+        key, secret = made.create(owner, name or owner, wanted, quotas, days)  # type: ignore[arg-type]
+        made.note("key.create", key.id, owner=owner, key_id=None, scopes=",".join(wanted))
     except ValueError as error:
         err.print(f"[bold red]error:[/bold red] {escape(str(error))}", highlight=False)
         raise typer.Exit(2) from None
@@ -81,9 +73,11 @@ def list_keys() -> None:
 @keys.command("revoke")
 def revoke(key_id: Annotated[str, typer.Argument(help="Id of the key, as `dualms keys list` shows it.")]) -> None:
     """Make a key invalid for ever; takes a few seconds to reach every API process."""
-    if not _keys().revoke(key_id):
+    known = _keys()
+    if not known.revoke(key_id):
         err.print(f"[bold red]error:[/bold red] There is no valid key {escape(key_id)}.", highlight=False)
         raise typer.Exit(2)
+    known.note("key.revoke", key_id, owner=None, key_id=None)
     out.print(f"{key_id} is revoked.", highlight=False)
 
 

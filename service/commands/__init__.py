@@ -1,0 +1,1 @@
+"""The commands of ``dualms``, by what they are for."""
