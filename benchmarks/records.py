@@ -36,9 +36,9 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dualms-records-") as folder:
         records = Records.open(Settings(data_dir=Path(folder), database_url="", redis_url=""))
-        few = _fill(records, 100)
+        few = fill(records, 100)
         small = _measure(records, few)
-        many = _fill(records, given.designs - 100)
+        many = fill(records, given.designs - 100)
         large = _measure(records, many)
         records.close()
     figures = {name: {"few_ms": small[name], "many_ms": large[name]} for name in small}
@@ -48,7 +48,7 @@ def main() -> int:
     return 0
 
 
-def _fill(records: Records, count: int) -> str:
+def fill(records: Records, count: int) -> str:
     """Add ended designs; gives the id of one in the middle."""
     if records.domain("0" * 64) is None:
         records.add_domain(id="0" * 64, sha256="0" * 64, size=1, name="x", suffix=".stl", units="mm", inspection={})

@@ -1,0 +1,1 @@
+"""Measurements: each can be run from the checkout, and says how in its docstring."""

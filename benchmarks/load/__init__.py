@@ -1,0 +1,1 @@
+"""Load on the API: see :mod:`benchmarks.load.__main__`."""
