@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: install demo serve test test-all check format openapi examples bench bench-hydraulics bench-field bench-cut compose-check clean
+.PHONY: install demo serve test test-all test-hostile check audit format openapi examples bench bench-hydraulics bench-field bench-cut bench-load clean
 
 install: .venv/.installed
 
@@ -35,6 +35,15 @@ check: install
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
+# Known vulnerabilities of what is installed; asks pypi.org, so it is no part of the tests.
+audit: install
+	$(BIN)/pip list --format freeze --exclude-editable | sed 's/+.*//' > .audit.txt
+	$(BIN)/pip-audit --strict --no-deps --disable-pip --progress-spinner off --requirement .audit.txt
+
+# The long tests of the service: files made to break readers, generated requests, kill -9.
+test-hostile: install
+	$(BIN)/python -m pytest -m slow tests/worker/test_hostile.py tests/service/test_fuzz.py tests/service/test_serve.py
+
 format: install
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -52,6 +61,9 @@ bench-cut: install
 
 bench-field: install
 	$(BIN)/python benchmarks/field.py
+
+bench-load: install
+	$(BIN)/python -m benchmarks.load --out benchmarks/results/load.json
 
 bench-hydraulics: install
 	$(BIN)/python benchmarks/hydraulics.py

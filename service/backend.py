@@ -15,6 +15,7 @@ from sqlalchemy import select
 from service.batches import Batches, Busy
 from service.problems import Problem
 from service.settings import Settings
+from service.turns import Turns
 from service.watch import Watch
 from worker import tables
 from worker.artifacts import ArtifactStore
@@ -59,6 +60,7 @@ class Backend:
     looks: Batches[tuple[int, Status]]
     bodies: Bodies
     tracing: Tracing
+    turns: Turns
 
     def domain(self, domain_id: str) -> DomainRecord:
         """The domain.
@@ -106,7 +108,18 @@ async def open_backend(settings: Settings, worker_settings: WorkerSettings, trac
             store, wakeups = open_store(worker_settings), Wakeups(worker_settings)
             with quick_state(records) as quick:
                 looks: Batches[tuple[int, Status]] = Batches(lambda ids: states(records, ids), quick)
-                yield Backend(settings, worker_settings, records, store, wakeups, watch, looks, Bodies(), tracing)
+                yield Backend(
+                    settings,
+                    worker_settings,
+                    records,
+                    store,
+                    wakeups,
+                    watch,
+                    looks,
+                    Bodies(),
+                    tracing,
+                    Turns(settings.uploads_at_once),
+                )
     finally:
         records.close()
 

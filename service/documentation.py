@@ -48,6 +48,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     _, sent = models_json_schema([(DesignIn, "validation")], ref_template=_TEMPLATE)
     schemas.update(_told_apart(sent["$defs"], schemas))
     document["paths"]["/v1/designs"]["post"]["requestBody"] = _design_body(schemas)
+    _complete_domain_form(document["paths"]["/v1/domains"]["post"]["requestBody"]["content"], schemas)
     return document
 
 
@@ -67,6 +68,21 @@ def _renamed(schema: Any, names: set[str]) -> Any:
     for name in names:
         text = text.replace(f'"{_TEMPLATE.format(model=name)}"', f'"{_TEMPLATE.format(model=name)}-Input"')
     return json.loads(text)
+
+
+def _complete_domain_form(content: Any, schemas: Schemas) -> None:
+    """A file or the hash of one; the file's name carries its format."""
+    form = content["multipart/form-data"]
+    form["encoding"] = _file_encoding("file")
+    name = form["schema"]["$ref"].rpartition("/")[2]
+    schemas[name]["oneOf"] = [{"required": ["file"]}, {"required": ["sha256"]}]
+
+
+def _file_encoding(field: str) -> Any:
+    example = f'form-data; name="{field}"; filename="envelope.stl"'
+    text = "The file's name tells its format by its extension."
+    return {field: {"headers": {"Content-Disposition": {"description": text, "schema": {"type": "string"},
+                                                        "example": example}}}}  # fmt: skip
 
 
 def _design_body(schemas: Schemas) -> dict[str, Any]:
@@ -94,6 +110,9 @@ def _design_body(schemas: Schemas) -> dict[str, Any]:
         "required": True,
         "content": {
             "application/json": {"schema": {"$ref": _TEMPLATE.format(model="DesignIn")}},
-            "multipart/form-data": {"schema": form, "encoding": {"spec": {"contentType": "application/json"}}},
+            "multipart/form-data": {
+                "schema": form,
+                "encoding": {**_file_encoding("domain"), "spec": {"contentType": "application/json"}},
+            },
         },
     }

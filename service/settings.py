@@ -24,6 +24,7 @@ class Settings(BaseSettings):
     watch_s: float = Field(0.2, gt=0, le=10, description="Between two looks for changes of the designs waited for.")
     require_keys: bool = Field(False, description="Ask for an API key even if none was ever made.")
     sse_ping_s: int = Field(15, ge=1, le=300, description="Between two comments that keep an event stream open.")
+    uploads_at_once: int = Field(2, ge=1, le=64, description="Uploads that are read at the same time; others wait.")
     presigned_s: int = Field(600, ge=10, le=86400, description="Life of an address that downloads from S3 directly.")
 
 

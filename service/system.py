@@ -65,8 +65,8 @@ class Readiness(Output):
 
 
 @router.get("/healthz")
-def healthz() -> Health:
-    """Liveness: the process answers."""
+async def healthz() -> Health:
+    """Liveness: the process answers, however many threads are busy."""
     return Health(status="ok", version=__version__)
 
 

@@ -34,6 +34,7 @@ def collect(records: Records, store: ArtifactStore) -> Collected:
     """One collection; safe while everything runs, and by several processes at once."""
     designs = _old_designs(records)
     _empty_studies(records)
+    _unused_domains(records)
     results = _old_results(records)
     return _blobs(records, store, designs, results)
 
@@ -54,6 +55,17 @@ def _empty_studies(records: Records) -> None:
     with records.database.write() as session:
         used = select(d.study_id).where(d.study_id.is_not(None))
         session.execute(delete(s).where(s.id.not_in(used)))
+
+
+def _unused_domains(records: Records) -> None:
+    """Forget envelopes past their retention that no design and no study uses."""
+    days = records.settings.retention_days
+    if days is None:
+        return
+    u = tables.Domain
+    used = union(select(tables.Design.domain_id), select(tables.Study.domain_id))
+    with records.database.write() as session:
+        session.execute(delete(u).where(u.created_at < Now() - days * 86400, u.id.not_in(used)))
 
 
 def _old_results(records: Records) -> int:

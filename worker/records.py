@@ -6,6 +6,7 @@ threads. Every visible change of a design gives it a new version and one event o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, cast
 
 from sqlalchemy import delete, func, select
@@ -110,7 +111,11 @@ class Records:
     # --- designs ----------------------------------------------------------------------------------------------
 
     def create_design(
-        self, new: NewDesign, idempotency: tuple[str, str] | None = None, design_id: str | None = None
+        self,
+        new: NewDesign,
+        idempotency: tuple[str, str] | None = None,
+        design_id: str | None = None,
+        admit: Callable[[], object] = lambda: None,
     ) -> tuple[DesignRecord, bool]:
         """Record a queued design.
 
@@ -124,6 +129,8 @@ class Records:
             The client's key and a SHA-256 of the request; the same key again gives the design that it gave before.
         design_id
             Id to use; a new one by default.
+        admit
+            Called before one is made; what it raises passes, and nothing is written.
 
         Returns
         -------
@@ -135,15 +142,18 @@ class Records:
         IdempotencyConflict
             If the key belongs to another request.
         """
-        return once(lambda: self._create(new, idempotency, design_id or new_id()))
+        return once(lambda: self._create(new, idempotency, design_id or new_id(), admit))
 
-    def _create(self, new: NewDesign, given: tuple[str, str] | None, design_id: str) -> tuple[DesignRecord, bool]:
+    def _create(
+        self, new: NewDesign, given: tuple[str, str] | None, design_id: str, admit: Callable[[], object]
+    ) -> tuple[DesignRecord, bool]:
         with self.database.write() as session:
             if given is not None:
                 known = made_before(session, tables.Design, new.owner, given, self.settings.idempotency_days)
                 if known is not None:
                     return views.design_record(known), False
                 remember(session, new.owner, given, design_id)
+            admit()
             live = live_queues(session, self.settings.worker_gone_s)
             return views.design_record(add_design(session, new, design_id, moment(session), live)), True
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import secrets
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -122,7 +123,9 @@ class Studies:
         self._settings = records.settings
         self._records = records
 
-    def create(self, new: NewStudy, idempotency: tuple[str, str] | None = None) -> tuple[StudyRecord, bool]:
+    def create(
+        self, new: NewStudy, idempotency: tuple[str, str] | None = None, admit: Callable[[], object] = lambda: None
+    ) -> tuple[StudyRecord, bool]:
         """Record a study and queue all of its designs, in one transaction.
 
         Parameters
@@ -131,6 +134,8 @@ class Studies:
             What to make.
         idempotency
             The client's key and a SHA-256 of the request; the same key again gives the study that it gave before.
+        admit
+            Called before one is made; what it raises passes, and nothing is written.
 
         Returns
         -------
@@ -142,9 +147,11 @@ class Studies:
         IdempotencyConflict
             If the key belongs to another request.
         """
-        return once(lambda: self._create(new, idempotency))
+        return once(lambda: self._create(new, idempotency, admit))
 
-    def _create(self, new: NewStudy, given: tuple[str, str] | None) -> tuple[StudyRecord, bool]:
+    def _create(
+        self, new: NewStudy, given: tuple[str, str] | None, admit: Callable[[], object]
+    ) -> tuple[StudyRecord, bool]:
         with self._database.write() as session:
             study_id, ids = new_id(), _ids(len(new.points))
             if given is not None:
@@ -152,6 +159,7 @@ class Studies:
                 if known is not None:
                     return _record(session, known), False
                 remember(session, new.owner, given, study_id)
+            admit()
             now = moment(session)
             live = live_queues(session, self._settings.worker_gone_s)
             study = tables.Study(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
@@ -16,7 +16,7 @@ from dualms.spec import Spec
 from service.access import Caller, may_use_domain
 from service.backend import Backend
 from service.designs.schemas import DesignIn, DesignOptions
-from service.domains.uploads import receive_domain
+from service.domains.uploads import receive_domain, sent
 from service.problems import FieldProblem, Problem, from_validation
 from worker.views import DomainRecord
 
@@ -62,7 +62,7 @@ async def read_request(backend: Backend, caller: Caller, request: Request) -> Wa
         return await run_in_threadpool(_from_json, backend, caller, await request.body())
     if kind == "multipart/form-data":
         async with request.form(max_files=2, max_fields=40, max_part_size=MAX_SPEC_BYTES) as form:
-            return await run_in_threadpool(_from_form, backend, caller, form)
+            return await backend.turns.upload(lambda: _from_form(backend, caller, form))
     raise Problem(
         "unsupported-media-type",
         f"The body is {kind or 'of no stated type'}.",
@@ -91,7 +91,7 @@ def _from_form(backend: Backend, caller: Caller, form: FormData) -> Wanted:
     body = text.file.read(MAX_SPEC_BYTES + 1) if isinstance(text, UploadFile) else text.encode()
     spec = _model(Spec, _json(body, "The form's field 'spec'"), "spec")
     options = _model(DesignOptions, _options(form))
-    domain = receive_domain(backend, caller, _binary(file), file.filename or "", spec.units)
+    domain = receive_domain(backend, caller, sent(file.file, file.filename or ""), spec.units)
     return Wanted(domain, spec, options, _digest(domain.id, spec, options))
 
 
@@ -124,10 +124,6 @@ def _model(kind: type[M], document: Any, prefix: str = "") -> M:
 def _digest(domain_id: str, spec: Spec, options: DesignOptions) -> str:
     document = [domain_id, spec.model_dump(mode="json"), options.model_dump(mode="json")]
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-
-
-def _binary(file: UploadFile) -> BinaryIO:
-    return file.file
 
 
 def _missing(field: str, message: str) -> Problem:

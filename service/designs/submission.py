@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
+from sqlalchemy.exc import IntegrityError
+
 from dualms.spec import Unit
-from service.access import Caller, note, within_quota
+from service.access import Caller, domain_not_found, note, within_quota
 from service.backend import Backend
 from service.designs.checks import check_against_domain
 from service.designs.requests import Wanted
@@ -14,6 +19,7 @@ from worker.rows import NewDesign
 from worker.views import DesignRecord
 
 MAX_KEY = 255
+T = TypeVar("T")
 
 
 def submit(backend: Backend, caller: Caller, wanted: Wanted, key: str | None) -> DesignRecord:
@@ -46,19 +52,41 @@ def submit(backend: Backend, caller: Caller, wanted: Wanted, key: str | None) ->
         trace=backend.tracing.context(),
     )
     _check_webhook(backend, new.webhook)
-    within_quota(backend, caller, designs=1)
-    try:
-        row, made = backend.records.create_design(new, (key, wanted.sha256) if key is not None else None)
-    except IdempotencyConflict:
-        raise Problem(
-            "idempotency-key-reused",
-            "This Idempotency-Key was used before with another body.",
-            "Send the first body again, or use a new key.",
-        ) from None
+    row, made = admitted(
+        backend,
+        caller,
+        new.domain_id,
+        lambda: backend.records.create_design(
+            new,
+            (key, wanted.sha256) if key is not None else None,
+            admit=lambda: within_quota(backend, caller, designs=1),
+        ),
+    )
     if made:
         backend.wakeups.send(row)
         note(backend, caller, "design.create", row.id)
     return row
+
+
+def admitted(backend: Backend, caller: Caller, domain_id: str, create: Callable[[], T]) -> T:
+    """What ``create`` makes of a domain, while nobody else of the same owner makes anything.
+
+    Raises
+    ------
+    Problem
+        ``idempotency-key-reused``, ``domain-not-found``, or what ``create`` raises.
+    """
+    with backend.turns.of(caller.owner):
+        try:
+            return create()
+        except IdempotencyConflict:
+            raise Problem(
+                "idempotency-key-reused",
+                "This Idempotency-Key was used before with another body.",
+                "Send the first body again, or use a new key.",
+            ) from None
+        except IntegrityError:  # in this very moment the domain was deleted
+            raise domain_not_found(domain_id) from None
 
 
 def _check_webhook(backend: Backend, url: str | None) -> None:

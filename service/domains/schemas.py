@@ -44,3 +44,10 @@ class DomainOut(Output):
     created_at: str = Field(description="Time of the first upload (ISO 8601, UTC).")
     href: str = Field(description="Address of this record.")
     file: str = Field(description="Address of the file's bytes.")
+
+
+class DomainPage(Output):
+    """Some domains, newest first."""
+
+    items: list[DomainOut]
+    next: str | None = Field(description="Address of the next page.")

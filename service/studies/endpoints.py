@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Path, Query
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
-from service.access import CallerDep
+from service.access import CallerDep, note
 from service.backend import BackendDep
 from service.conditional import wait_s
 from service.designs.endpoints import Prefer
@@ -74,19 +74,21 @@ async def get_study(backend: BackendDep, study_id: StudyId, seen: Seen = None, p
 
 
 @router.post("/{study_id}/cancel", response_model=StudyOut, responses=answers(404, 422))
-def cancel_study(backend: BackendDep, study_id: StudyId) -> Response:
+def cancel_study(backend: BackendDep, caller: CallerDep, study_id: StudyId) -> Response:
     """Cancel all designs of a study; those that have ended stay as they are."""
     study = Studies(backend.records).cancel(study_id)
     if study is None:
         raise study_not_found(study_id)
+    note(backend, caller, "study.cancel", study_id)
     return study_answer(backend, study)
 
 
 @router.delete("/{study_id}", status_code=204, responses=answers(404, 422))
-def delete_study(backend: BackendDep, study_id: StudyId) -> Response:
+def delete_study(backend: BackendDep, caller: CallerDep, study_id: StudyId) -> Response:
     """Forget a study with its designs and their artifacts; those that run are cancelled first."""
     if not Studies(backend.records).delete(study_id):
         raise study_not_found(study_id)
+    note(backend, caller, "study.delete", study_id)
     return Response(None, 204)
 
 

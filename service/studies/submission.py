@@ -16,10 +16,9 @@ from service.access import Caller, may_use_domain, note, within_quota
 from service.backend import Backend
 from service.designs.checks import check_against_domain
 from service.designs.resolve import resolved
-from service.designs.submission import MAX_KEY
+from service.designs.submission import MAX_KEY, admitted
 from service.problems import FieldProblem, Problem, from_dualms
 from service.studies.schemas import StudyIn
-from worker.idempotency import IdempotencyConflict
 from worker.rows import NewDesign
 from worker.studies import NewStudy, Studies, StudyRecord
 from worker.views import DomainRecord
@@ -51,16 +50,17 @@ def submit_study(backend: Backend, caller: Caller, wanted: StudyIn, key: str | N
         labels=wanted.labels,
         owner=caller.owner,
     )
-    within_quota(backend, caller, designs=len(points))
     digest = hashlib.sha256(("study" + wanted.model_dump_json()).encode()).hexdigest()
-    try:
-        study, made = Studies(backend.records).create(new, (key, digest) if key is not None else None)
-    except IdempotencyConflict:
-        raise Problem(
-            "idempotency-key-reused",
-            "This Idempotency-Key was used before with another body.",
-            "Send the first body again, or use a new key.",
-        ) from None
+    study, made = admitted(
+        backend,
+        caller,
+        domain.id,
+        lambda: Studies(backend.records).create(
+            new,
+            (key, digest) if key is not None else None,
+            admit=lambda: within_quota(backend, caller, designs=len(points)),
+        ),
+    )
     if made:
         note(backend, caller, "study.create", study.id, points=len(points))
         designs = [point.design for point in study.points if point.design is not None]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import trimesh
 
 from service.processes import with_parent
 
-START_S = 120.0  # a busy machine takes long to import; the claim of 2 s is benchmarks/load.py's
+START_S = 120.0  # a busy machine takes long to import; the claim of 2 s is that of benchmarks.load
 
 
 class Served:
@@ -144,8 +145,8 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def spec() -> dict[str, Any]:
+@pytest.fixture(scope="session")
+def plain_spec() -> dict[str, Any]:
     """A small design in the box: hot along x, cold against it."""
 
     def disk(x: float, y: float) -> dict[str, Any]:
@@ -167,6 +168,12 @@ def spec() -> dict[str, Any]:
     }
 
 
+@pytest.fixture
+def spec(plain_spec: dict[str, Any]) -> dict[str, Any]:
+    """The small design, to be changed."""
+    return deepcopy(plain_spec)
+
+
 @pytest.fixture(scope="session")
 def domain_id(served: Served, box: Path) -> str:
     """The box, uploaded."""
@@ -176,3 +183,54 @@ def domain_id(served: Served, box: Path) -> str:
 def as_json(answer: httpx.Response) -> str:
     """For messages."""
     return json.dumps(answer.json(), indent=1)
+
+
+def run_keys(data: Path, *words: str) -> str:
+    """Run `dualms keys`; gives its output."""
+    command = [sys.executable, "-m", "service.cli", "keys", "--data", str(data), *words]
+    env = {**os.environ, "COLUMNS": "200"}
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=env).stdout
+
+
+class Team:
+    """A service with keys, and clients of several owners."""
+
+    def __init__(self, service: Served) -> None:
+        self.service = service
+        self.clients: list[httpx.Client] = []
+
+    def keys(self, *words: str) -> str:
+        """Run `dualms keys`; gives its output."""
+        return run_keys(self.service.data, *words)
+
+    def client(self, owner: str, *options: str) -> httpx.Client:
+        secret = self.keys("create", owner, *options).strip()
+        assert secret.startswith("dms_")
+        headers = {"Authorization": f"Bearer {secret}"}
+        self.clients.append(httpx.Client(base_url=self.service.url, headers=headers, timeout=90))
+        return self.clients[-1]
+
+    def upload(self, client: httpx.Client, path: Path) -> httpx.Response:
+        """POST /v1/domains by one of the clients, in millimetres."""
+        with path.open("rb") as file:
+            return client.post("/v1/domains", files={"file": (path.name, file)}, data={"units": "mm"})
+
+
+@pytest.fixture(scope="session")
+def keys() -> Callable[..., str]:
+    """`dualms keys` on a data folder."""
+    return run_keys
+
+
+@pytest.fixture(scope="session")
+def team(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Team]:
+    """One service with keys for all tests that need no other."""
+    service = Served(tmp_path_factory.mktemp("team") / "data", "--queues", "cpu")
+    assert service.http.get("/v1/designs").status_code == 200, "open as long as there is no key"
+    run_keys(service.data, "create", "first")
+    time.sleep(1.2)  # whether there are keys is looked at once a second
+    made = Team(service)
+    yield made
+    for client in made.clients:
+        client.close()
+    service.stop()

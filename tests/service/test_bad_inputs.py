@@ -299,6 +299,13 @@ def test_body_without_a_length_is_counted_as_it_comes(served: Served) -> None:
     refused(served.http.post("/v1/designs", content=endless(), headers=headers), 413, "too-large")
 
 
+@pytest.mark.parametrize("form", [{}, {"units": "mm"}, {"sha256": "0" * 64, "file": "both"}])
+def test_a_domain_s_form_has_a_file_or_a_hash(served: Served, box: Path, form: dict[str, str]) -> None:
+    files = {"file": ("box.stl", box.read_bytes())} if form.pop("file", None) else {"units": (None, "mm")}
+    problem = refused(served.http.post("/v1/domains", data=form, files=files), 422, "invalid-request")
+    assert problem["errors"][0]["field"] == "file"
+
+
 def test_unknown_domain_is_refused(served: Served, spec: dict[str, Any]) -> None:
     answer = served.http.post("/v1/designs", json={"domain": "0" * 64, "spec": spec})
     refused(answer, 404, "domain-not-found")
@@ -322,6 +329,8 @@ def test_unknown_domain_is_refused(served: Served, spec: dict[str, Any]) -> None
         ("GET", "/v1/designs?created_after=yesterday", 422, "invalid-request"),
         ("GET", "/v1/designs?created_after=0.5", 422, "invalid-request"),
         ("GET", "/v1/designs?created_before=2026-01-01T00:00:00", 422, "invalid-request"),
+        ("GET", "/v1/domains?cursor=x", 422, "invalid-request"),
+        ("DELETE", "/v1/domains/" + "0" * 64, 404, "domain-not-found"),
         ("PATCH", "/v1/designs", 405, "method-not-allowed"),
         ("POST", "/healthz", 405, "method-not-allowed"),
     ],

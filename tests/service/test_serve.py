@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import httpx
 import psutil
 import pytest
 
@@ -98,8 +99,40 @@ def test_a_killed_part_is_started_again(
     assert "was started again" in service.console.read_text()
 
 
+@pytest.mark.slow
+def test_an_event_stream_goes_on_after_the_api_was_killed(
+    serve_at: Serve, tmp_path: Path, box: Path, spec: dict[str, Any]
+) -> None:
+    service = serve_at(tmp_path / "data", "--queues", "cpu")
+    domain = service.upload(box).json()["id"]
+    design = service.http.post("/v1/designs", json={"domain": domain, "spec": spec}).json()
+    seen: list[tuple[int, str]] = []
+    killed = False
+    deadline = time.monotonic() + 180
+    while (not seen or seen[-1][1] != "succeeded") and time.monotonic() < deadline:
+        headers = {"Last-Event-ID": str(seen[-1][0])} if seen else {}
+        try:
+            with service.http.stream("GET", design["events"], headers=headers) as answer:
+                number = 0
+                for line in answer.iter_lines():
+                    name, _, value = line.partition(": ")
+                    number = int(value) if name == "id" else number
+                    if name == "event":
+                        seen.append((number, value))
+                    if len(seen) == 3 and not killed:
+                        killed = True
+                        next(p for p in service.family() if "service.listen" in " ".join(p.cmdline())).kill()
+        except httpx.TransportError:
+            time.sleep(0.2)  # as a browser does
+    assert killed
+    numbers = [number for number, _ in seen]
+    assert numbers == sorted(set(numbers)), "none comes twice, none out of order"
+    lasting = [kind for _, kind in seen if kind != "progress"]
+    assert lasting == ["queued", *["started", "step"] * 2, "started", "succeeded"], "none is lost"
+
+
 def test_the_api_answers_within_two_seconds_of_the_start(served: Served) -> None:
-    # Generous: the claim is 2 s on an idle machine, and tests share theirs. benchmarks/load.py measures it.
+    # Generous: the claim is 2 s on an idle machine, and tests share theirs. python -m benchmarks.load measures it.
     assert served.ready_after_s < 10
 
 

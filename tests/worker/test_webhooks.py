@@ -6,9 +6,11 @@ import base64
 import hashlib
 import hmac
 import json
+import socket
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 import pytest
 from sqlalchemy import update
@@ -158,5 +160,40 @@ def test_public_addresses_are_allowed() -> None:
 
 def test_a_private_address_is_not_connected_to(records: Records, domain: DomainRecord, receiver: Receiver) -> None:
     ended(records, domain, receiver.url)
+    assert Deliverer(records.database, Settings()).run_once() == 0
+    assert receiver.got == []
+
+
+def test_a_name_is_resolved_once_and_what_was_checked_is_connected_to(
+    records: Records, domain: DomainRecord, receiver: Receiver, deliverer: Deliverer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, port = socket.getaddrinfo, receiver.server_address[1]
+    asked: list[str] = []
+
+    def rebinding(host: str, *args: Any, **options: Any) -> Any:
+        """The first answer leads to the receiver; every later one elsewhere, as an attacker's server would say."""
+        if host != "hooks.example":
+            return real(host, *args, **options)
+        asked.append(host)
+        return real("127.0.0.1" if len(asked) == 1 else "127.0.0.2", *args, **options)
+
+    monkeypatch.setattr(socket, "getaddrinfo", rebinding)
+    ended(records, domain, f"http://hooks.example:{port}/hook")
+    assert deliverer.run_once() == 1
+    assert asked == ["hooks.example"]
+    ((headers, _),) = receiver.got
+    assert headers["host"] == f"hooks.example:{port}"
+
+
+def test_a_name_that_leads_inside_later_is_refused_then(
+    records: Records, domain: DomainRecord, monkeypatch: pytest.MonkeyPatch, receiver: Receiver
+) -> None:
+    url = f"http://hooks.example:{receiver.server_address[1]}/hook"
+    real = socket.getaddrinfo
+    leads_to = "93.184.216.34"
+    monkeypatch.setattr(socket, "getaddrinfo", lambda host, *a, **k: real(leads_to, *a, **k))
+    check_address(url, allow_private=False)  # as at submission
+    leads_to = "127.0.0.1"
+    ended(records, domain, url)
     assert Deliverer(records.database, Settings()).run_once() == 0
     assert receiver.got == []
