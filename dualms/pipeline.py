@@ -22,6 +22,7 @@ from dualms.measure.report import make_report
 from dualms.ports import resolve_ports
 from dualms.progress import Progress
 from dualms.reading import read_domain_mesh
+from dualms.selfsupport import Compression, compression
 from dualms.skeletons import Skeletons, skeletons, write_json
 from dualms.spec import AutoField, ShellSpec, Spec, Unit
 from dualms.steps import CHECKPOINT, Step, sha256_of
@@ -35,13 +36,14 @@ WIDEST_WALL = 0.12  # unit-cube units; thicker is not tried for a wall given by 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What ``prepare`` hands on."""
+    """What ``prepare`` hands on; with self-support, the skeletons are those of the compressed domain."""
 
     domain: Domain
     graph: Graph
     partition: Partition
     skeletons: Skeletons
     units: str
+    compression: Compression | None
 
 
 def run_step(step: Step, folder: Path, domain_file: Path, spec: Spec, progress: Progress, device: str = "cpu") -> None:
@@ -63,10 +65,14 @@ def prepare(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> 
     units = spec.units or mesh.units
     domain = watch.run("domain", lambda: Domain.from_mesh(mesh, resolve_ports(mesh, spec.fluids, units)))
     flow = watch.run("flow", lambda: flow_field(domain, spec.flow, units.metres, progress=progress))
-    graph = watch.run("graph", lambda: site_graph(domain, flow, spec.graph, spec.seed, progress=progress))
+    frame = compression(domain, spec.self_support, spec.build_direction)
+    solved = frame.domain(domain) if frame else domain
+    guide = frame.flow(flow, solved) if frame and flow else flow
+    graph = watch.run("graph", lambda: site_graph(solved, guide, spec.graph, spec.seed, progress=progress))
     partition = watch.run("partition", lambda: max_cut(graph, spec.partition, spec.seed, progress=progress))
-    sampled = watch.run("skeletons", lambda: skeletons(domain, graph, partition))
-    save(Prepared(domain, graph, partition, sampled, units.value), folder / "prepared.safetensors")
+    sampled = watch.run("skeletons", lambda: skeletons(solved, graph, partition))
+    graph = frame.graph_back(graph) if frame else graph
+    save(Prepared(domain, graph, partition, sampled, units.value, frame), folder / "prepared.safetensors")
     write_json(folder / "skeletons.json", domain, graph, partition)
     if flow is not None:
         flow_picture(domain, flow, folder / "flow.png")
@@ -80,10 +86,13 @@ def solve(folder: Path, spec: Spec, progress: Progress, device: str) -> None:
     method = spec.field
     watch = Stopwatch(progress)
     given = load(Prepared, folder / "prepared.safetensors")
+    frame = given.compression
+    domain = frame.domain(given.domain) if frame else given.domain
     checkpoint = folder / CHECKPOINT / "training.safetensors"
     field = watch.run(
-        "field", lambda: solve_field(given.domain, given.skeletons, method, spec.seed, device, checkpoint, progress)
+        "field", lambda: solve_field(domain, given.skeletons, method, spec.seed, device, checkpoint, progress)
     )
+    field = frame.field_back(field, given.domain, domain) if frame else field
     save_field(field, folder / "field.safetensors")
     watch.save(folder, "solve")
 

@@ -16,8 +16,10 @@ from dualms.body.files import COLD, HOT, METAL, SIDE_COLOURS, write_3mf, write_g
 from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.graph.graph import Graph
+from dualms.maps import maps
 from dualms.measure.report import Report
 from dualms.pictures import preview
+from dualms.sections import sections_picture
 from dualms.spec import Unit
 from dualms.steps import ARTIFACTS, sha256_of
 from dualms.surface import Surface
@@ -33,7 +35,7 @@ def write_meshes(
     units: Unit,
     preview_width: int,
 ) -> None:
-    """Write surface, solid, fluids, patches, scene and preview (so many pixels across)."""
+    """Write surface, solid, fluids, patches, scene, and pictures (so many pixels across)."""
     scaled = in_units(body, units.metres)
     sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
     write_stl(sheet, folder / "surface.stl")
@@ -54,6 +56,8 @@ def write_meshes(
         folder / "scene.glb",
     )
     preview(body, folder / "preview.png", preview_width)
+    maps(surface, body, folder / "maps.png", preview_width // 2)
+    sections_picture(domain, body, folder / "sections.png")
 
 
 def patches(body: Body, units: Unit) -> dict[str, Any]:
@@ -113,7 +117,7 @@ def write_report(folder: Path, report: Report) -> None:
     environment.filters["g"] = lambda value, digits=4: f"{value:.{digits}g}"
     pictures = {
         name: base64.b64encode((folder / name).read_bytes()).decode()
-        for name in ("preview.png", "evaluation.png")
+        for name in ("preview.png", "sections.png", "maps.png", "evaluation.png")
         if (folder / name).exists()
     }
     page = environment.get_template("report.html").render(report=report, pictures=pictures)

@@ -44,6 +44,8 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
         "patches.json",
         "scene.glb",
         "preview.png",
+        "maps.png",
+        "sections.png",
         "report.json",
         "report.html",
     ),
@@ -89,8 +91,10 @@ def step_keys(domain_sha256: str, spec: Spec) -> dict[Step, str]:
     ports = [fluid[role] for fluid in document["fluids"].values() for role in ("inlets", "outlets")]
     places = [[{k: v for k, v in port.items() if k != "header"} for port in listed] for listed in ports]
     headers = [[port["header"] for port in listed] for listed in ports]
+    frame = [document["self_support"], document["build_direction"]] if spec.self_support else None
+    guided = [document[k] for k in ("units", "flow", "graph", "partition")]
     parameters: dict[Step, object] = {
-        "prepare": [document["units"], places, document["flow"], document["graph"], document["partition"], spec.seed],
+        "prepare": [places, guided, frame, spec.seed],
         "solve": [document["field"], spec.seed],
         "build": [
             headers,

@@ -32,6 +32,7 @@ from dualms.spec.model import Model, Point, Vector
 from dualms.spec.partition import PartitionSpec
 from dualms.spec.ports import BoxPort, DiskPort, FacetPort, FlangeSpec, HeaderSpec, PortSpec
 from dualms.spec.require import RequireSpec
+from dualms.spec.self_support import SelfSupportSpec
 from dualms.spec.spec import Spec
 from dualms.spec.units import Unit
 
@@ -67,6 +68,7 @@ __all__ = [
     "PortSpec",
     "PotentialFlow",
     "RequireSpec",
+    "SelfSupportSpec",
     "ShellSpec",
     "Spec",
     "SurfaceSpec",

@@ -13,6 +13,7 @@ from dualms.spec.graph import GraphSpec
 from dualms.spec.model import Model, Point
 from dualms.spec.partition import PartitionSpec
 from dualms.spec.require import RequireSpec
+from dualms.spec.self_support import SelfSupportSpec
 from dualms.spec.units import Unit
 
 
@@ -32,6 +33,7 @@ class Spec(Model):
     shell: ShellSpec | None = Field(default=ShellSpec())
     build_direction: Point = Field((0.0, 0.0, 1.0), description="Up in the printer.")
     pictures: PicturesSpec = Field(default=PicturesSpec())
+    self_support: SelfSupportSpec | None = Field(None, description="Make the walls steep along the build direction.")
     require: RequireSpec = Field(default=RequireSpec(), description="What the certificate must also meet.")
     evaluation: EvaluationSpec | None = Field(None, description="Solve the flow too (needs a cfd worker).")
     seed: int = Field(0, ge=0, lt=2**32, description="Seed of everything random.")
