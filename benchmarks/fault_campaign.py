@@ -32,8 +32,9 @@ from benchmarks.fault_service import Service, design_of
 from worker.records import Records
 from worker.settings import Settings
 
-WEIGHTS = {"api": 3.0, "worker": 0.5, "station": 1.0, "step": 2.0, "broker": 1.5, "all": 0.05}
-YOUNG = 0.1  # how often a part is killed that was killed before and is not back yet
+WEIGHTS = {"api": 3.0, "worker": 0.3, "station": 0.7, "step": 2.0, "broker": 1.5, "all": 0.01}
+YOUNG = 0.1  # how often a part may be killed that was killed before and is not back yet
+MOST_BROKER = 0.4  # of all kills
 SILENCE_S = 120.0  # after so long without news the stations write down where each of their threads is
 
 
@@ -87,10 +88,13 @@ class _Campaign:
         self._stop = threading.Event()
         self._done = threading.Event()  # all were sent and have ended
         self._api_killed: float | None = None
-        self._threads = [threading.Thread(target=self._send), threading.Thread(target=self._watch)]
+        self._threads = [threading.Thread(target=work) for work in (self._send, self._watch, self._call)]
 
     def run(self) -> None:
         self._service.start_if_dead()
+        stl = trimesh.creation.box((20, 20, 40)).export(file_type="stl")
+        answer = self._service.ask("POST", "/domains", files={"file": ("box.stl", stl)}, data={"units": "mm"})
+        self._domain = str(answer.json()["id"])
         for thread in self._threads:
             thread.start()
         self._strike()
@@ -103,21 +107,19 @@ class _Campaign:
         """Stop all; gives the number of processes that are left behind."""
         self._stop.set()
         for thread in self._threads:
-            thread.join(60)
+            if thread.is_alive():
+                thread.join(60)
         self._service.stop()
         self._records.close()
         _, left = psutil.wait_procs(self._service.left_behind(), timeout=5)
         return len(left)
 
     def _send(self) -> None:
-        stl = trimesh.creation.box((20, 20, 40)).export(file_type="stl")
-        answer = self._service.ask("POST", "/domains", files={"file": ("box.stl", stl)}, data={"units": "mm"})
-        domain = answer.json()["id"]
         for number in range(self._plan.jobs):
             due = number * self._plan.kills / self._plan.jobs - 5
             while self.seen.killed.total() < due and not self._stop.wait(0.2):
                 pass
-            body = {"domain": domain, "spec": _spec(number)}
+            body = {"domain": self._domain, "spec": _spec(number)}
             answer = self._service.ask("POST", "/designs", json=body, headers={"Idempotency-Key": f"job-{number}"})
             self.seen.sent.append(str(answer.json()["id"]))
 
@@ -134,7 +136,7 @@ class _Campaign:
                 news, since = version, time.monotonic()
             elif time.monotonic() - since > SILENCE_S:
                 since = time.monotonic()
-                for station in self._service.parts("station"):
+                for station in self._service.processes()["station"]:
                     station.send_signal(signal.SIGUSR1)
 
     def _strike(self) -> None:
@@ -143,23 +145,27 @@ class _Campaign:
         while self.seen.killed.total() < self._plan.kills and not self._done.is_set():
             time.sleep(self._rng.expovariate(1 / self._plan.pause_s))
             self._service.start_if_dead()
-            self._look_at_api()
-            if len(self.seen.sent) >= to_cancel and (running := self._service.parts("step")):
+            running = self._service.processes()
+            if len(self.seen.sent) >= to_cancel and running["step"]:
                 to_cancel += self._plan.cancel_every
-                self._cancel(self._rng.choice(running))
+                self._cancel(self._rng.choice(running["step"]))
                 continue
-            for _ in range(10):
-                if self._kill(self._rng.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]):
-                    break
+            part = self._rng.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]
+            if running[part] and self._may_die(part, running):
+                self._kill(part, running)
 
-    def _kill(self, part: str) -> bool:
-        """Kill one process of a part (or all of the service); False where none is there, or none at work."""
-        victims = self._service.parts(part)
-        if not victims or (not self._grown_up(part) and self._rng.random() >= YOUNG):
-            return False
-        if part != "all":
-            victims = [self._rng.choice(victims)]
-        running = [design_of(step) for step in self._service.parts("step")]
+    def _may_die(self, part: str, running: dict[str, list[psutil.Process]]) -> bool:
+        """Whether it is a part's turn: mostly those at work, now and then one that still starts."""
+        if part == "broker":  # is back at once; without a bound it would be killed most
+            return self.seen.killed["broker"] <= MOST_BROKER * self.seen.killed.total()
+        starting = part in ("api", "all") and self._api_killed is not None
+        if part in ("worker", "station"):
+            starting = not {w.pid for w in self._records.workers()} & {p.pid for p in running["station"]}
+        return not starting or self._rng.random() < YOUNG
+
+    def _kill(self, part: str, running: dict[str, list[psutil.Process]]) -> None:
+        victims = running["all"] if part == "all" else [self._rng.choice(running[part])]
+        struck = [design_of(step) for step in running["step"]]
         now = time.time()
         for victim in victims:
             try:
@@ -170,22 +176,15 @@ class _Campaign:
         if part in ("api", "all"):
             self._api_killed = time.monotonic()
         if part in ("step", "station", "worker", "all"):
-            self.seen.struck += [(now, design) for design in running if design is not None]
-        return True
+            self.seen.struck += [(now, design) for design in struck if design is not None]
 
-    def _grown_up(self, part: str) -> bool:
-        """Whether a part is at work, rather than starting."""
-        if part == "api":
-            return self._api_killed is None
-        if part in ("worker", "station"):
-            pids = {process.pid for process in self._service.parts("station")}
-            return any(worker.pid in pids for worker in self._records.workers())
-        return True
-
-    def _look_at_api(self) -> None:
-        if self._api_killed is not None and self._service.answers():
-            self.seen.api_back_s.append(time.monotonic() - self._api_killed)
-            self._api_killed = None
+    def _call(self) -> None:
+        """Note when the API answers again after it was killed."""
+        while not self._stop.wait(0.1):
+            killed = self._api_killed
+            if killed is not None and self._service.answers() and killed == self._api_killed:
+                self.seen.api_back_s.append(time.monotonic() - killed)
+                self._api_killed = None
 
     def _cancel(self, running: psutil.Process) -> None:
         design = design_of(running)
@@ -203,7 +202,7 @@ def _settings(data: Path) -> Settings:
 
 
 def _spec(number: int) -> dict[str, Any]:
-    """Small designs: thirty share skeletons and field, ten of these all; what is equal is reused once it is there."""
+    """Small designs: sixty share skeletons and field, thirty of these all; what is equal is reused once it is there."""
     shared = {"inlets": [{"facet": 4}], "outlets": [{"facet": 5}]}
     return {
         "units": "mm",
@@ -213,10 +212,10 @@ def _spec(number: int) -> dict[str, Any]:
         "partition": {"seconds": 0.05},
         "field": {"method": "phase-field", "resolution": 32},
         "surface": {"resolution": 32},
-        "wall": {"thickness": round(1.5 + 0.001 * (number % 30 // 10), 6)},
+        "wall": {"thickness": round(1.5 + 0.001 * (number % 60 // 30), 6)},
         "shell": None,
         "pictures": {"width": 160},
-        "seed": number // 30,
+        "seed": number // 60,
     }
 
 

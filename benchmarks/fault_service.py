@@ -36,6 +36,7 @@ class Service:
         self._environment = {**own, "OMP_NUM_THREADS": "1", **settings}
         self._command = [sys.executable, "-m", "service.cli", "serve", "--data", str(folder), "--queues", "cpu"]
         self._command += ["--port", str(self.port)]
+        self._client = httpx.Client(timeout=30)
         self._folder = str(folder)
         self._log = folder.parent / "serve.log"
         self._process: subprocess.Popen[bytes] | None = None
@@ -46,21 +47,27 @@ class Service:
             with self._log.open("ab") as log:
                 self._process = subprocess.Popen(self._command, env=self._environment, stdout=log, stderr=log)
 
-    def parts(self, part: str) -> list[psutil.Process]:
-        """Processes of a part; ``all``: every process of the service."""
+    def processes(self) -> dict[str, list[psutil.Process]]:
+        """The running processes of each part; ``all``: every process of the service."""
+        found: dict[str, list[psutil.Process]] = {part: [] for part in (*PARTS, "all")}
         if self._process is None or self._process.poll() is not None:
-            return []
+            return found
         try:
             top = psutil.Process(self._process.pid)
-            below = top.children(recursive=True)
+            found["all"] = [top, *top.children(recursive=True)]
         except psutil.NoSuchProcess:
-            return []
-        return [top, *below] if part == "all" else [p for p in below if _is(p, PARTS[part])]
+            return found
+        for process in found["all"][1:]:
+            for part, words in PARTS.items():
+                if _is(process, words):
+                    found[part].append(process)
+                    break
+        return found
 
     def answers(self) -> bool:
         """Whether the API answers now."""
         try:
-            return httpx.get(f"{self.url}/healthz", timeout=0.3).status_code == 200
+            return self._client.get(f"{self.url}/healthz", timeout=0.3).status_code == 200
         except httpx.TransportError:
             return False
 
@@ -69,7 +76,7 @@ class Service:
         deadline = time.monotonic() + ANSWERED_S
         while True:
             try:
-                answer = httpx.request(method, f"{self.url}/v1{path}", timeout=30, **arguments)
+                answer = self._client.request(method, f"{self.url}/v1{path}", **arguments)
                 if answer.status_code < 500 and answer.status_code != 429:
                     answer.raise_for_status()
                     return answer
@@ -81,12 +88,13 @@ class Service:
 
     def stop(self) -> None:
         """End it politely, then for sure."""
+        self._client.close()
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
             try:
                 self._process.wait(60)
             except subprocess.TimeoutExpired:
-                for process in self.parts("all"):
+                for process in self.processes()["all"]:
                     process.kill()
 
     def left_behind(self) -> list[psutil.Process]:
