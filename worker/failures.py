@@ -15,6 +15,7 @@ from dualms.errors import DualMSError
 log = logging.getLogger(__name__)
 
 GPU_OUT_OF_MEMORY = "gpu-out-of-memory"
+STORE_FULL = "store-full"
 
 
 @dataclass(frozen=True)

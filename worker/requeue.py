@@ -13,7 +13,7 @@ from dualms.spec import Spec
 from dualms.steps import Step, steps_of
 from worker import tables, views
 from worker.database import Now
-from worker.failures import worker_lost
+from worker.failures import Failure, worker_lost
 from worker.lease import Lease
 from worker.records import Records
 from worker.routing import queue_of
@@ -30,7 +30,14 @@ class Requeue:
         self._gone_s = records.settings.worker_gone_s
 
     def hand_back(
-        self, lease: Lease, reason: str, *, counts: bool = True, spec: Spec | None = None, **hints: Any
+        self,
+        lease: Lease,
+        reason: str,
+        *,
+        counts: bool = True,
+        failure: Failure | None = None,
+        spec: Spec | None = None,
+        **hints: Any,
     ) -> DesignRecord | None:
         """Give a step back, to be started again by anyone.
 
@@ -42,6 +49,8 @@ class Requeue:
             For people and the log.
         counts
             Whether this start counts towards ``max_tries`` (being asked to stop does not).
+        failure
+            What the design fails with if it was started often enough; by default ``worker-lost`` with the reason.
         spec
             A specification to go on with instead, such as one with a smaller batch.
         hints
@@ -57,7 +66,13 @@ class Requeue:
             values |= {"spec": spec.model_dump(mode="json"), "checkpoint": None}
         with self._database.write() as session:
             return self._take_away(
-                session, lease.design, reason, tables.Design.attempt == lease.attempt, counts=counts, **values
+                session,
+                lease.design,
+                reason,
+                tables.Design.attempt == lease.attempt,
+                counts=counts,
+                failure=failure,
+                **values,
             )
 
     def start_over(self, lease: Lease, reason: str) -> DesignRecord | None:
@@ -90,11 +105,18 @@ class Requeue:
             )
 
     def _take_away(
-        self, session: Session, design: DesignRecord, reason: str, *conditions: Any, counts: bool, **values: Any
+        self,
+        session: Session,
+        design: DesignRecord,
+        reason: str,
+        *conditions: Any,
+        counts: bool,
+        failure: Failure | None = None,
+        **values: Any,
     ) -> DesignRecord | None:
         d = tables.Design
         if counts and design.tries >= self._max_tries:
-            error = worker_lost(design.step, design.tries, reason).as_json()
+            error = (failure or worker_lost(design.step, design.tries, reason)).as_json()
             kept = end(session, design.id, "failed", {"error": error}, *conditions, error=error)
         else:
             step = values.get("step", design.step)

@@ -36,6 +36,8 @@ class Settings(BaseSettings):
     grace_s: float = Field(5.0, ge=0, description="What a step gets to end by itself before it is killed.")
     drain_s: float = Field(12.0, ge=0, description="What running steps get to finish when the worker is stopped.")
 
+    free_bytes: int = Field(GIB // 2, ge=0, description="Room on the disks below which steps wait for more.")
+
     lease_s: float = Field(45.0, gt=0, description="How long a silent worker keeps a step.")
     heartbeat_s: float = Field(2.0, gt=0, description="Between two renewals of a lease.")
     reap_s: float = Field(10.0, gt=0, description="Between two looks for expired leases and lost messages.")

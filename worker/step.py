@@ -23,7 +23,7 @@ from dualms.progress import Cancelled
 from dualms.spec import Spec
 from dualms.steps import ARTIFACTS, CHECKPOINT, INTERNAL, OPTIONAL_ARTIFACTS, Step
 from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, fetch, put_file
-from worker.failures import Failure, failure_of
+from worker.failures import STORE_FULL, Failure, failure_of
 from worker.settings import Settings
 from worker.stores import open_store
 
@@ -63,7 +63,7 @@ def _outcome(job: dict[str, Any], channel: _Channel, cancel: threading.Event) ->
         return {"missing": str(error.args[0])}
     except StoreFull as error:
         logging.error("store full: %s", error)
-        failure = Failure("store-full", "The artifact store has no room left.", "Free some space, then send it again.")
+        failure = Failure(STORE_FULL, "The artifact store has no room left.", "Free some space, then send it again.")
         return {"failure": failure.as_json()}
     except OSError as error:  # the store or this machine's disk; another try may do
         logging.exception("inputs or outputs")

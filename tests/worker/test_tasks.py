@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -74,6 +75,32 @@ def test_inputs_that_stay_lost_end_the_design(
     assert final is not None
     assert final.error is not None
     assert final.error["code"] == "worker-lost"
+
+
+def test_a_full_store_is_tried_again_and_then_said(
+    records: Records, leases: Leases, station: Station, domain: DomainRecord
+) -> None:
+    made, _ = records.create_design(NewDesign(domain.id, small_spec()))
+    full = Outcome("failed", failure=Failure("store-full", "The artifact store has no room left."))
+    for _ in range(records.settings.max_tries - 1):
+        following = _record(station, claim(leases), full)
+        assert following is not None
+        assert not following.final
+    _record(station, claim(leases), full)
+    final = records.design(made.id)
+    assert final is not None
+    assert final.error is not None
+    assert (final.status, final.error["code"]) == ("failed", "store-full")
+
+
+def test_steps_wait_while_the_disk_is_full(
+    records: Records, leases: Leases, station: Station, domain: DomainRecord
+) -> None:
+    records.create_design(NewDesign(domain.id, small_spec()))
+    full = replace(station, settings=station.settings.model_copy(update={"free_bytes": 1 << 60}))
+    assert not take_one(full)
+    assert records.counts() == {"queued": 1}
+    assert claim(leases).design.tries == 1
 
 
 def test_a_draining_worker_takes_nothing(records: Records, station: Station, domain: DomainRecord) -> None:
