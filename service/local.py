@@ -275,8 +275,9 @@ def _wait_for_broker(broker: Child, url: str, stop: _StopSignals) -> None:
                 probe.connect(path)
                 return
             except OSError:
-                if not broker.running or time.monotonic() > deadline:
+                if time.monotonic() > deadline:
                     raise CannotServe(f"The bundled Valkey did not start:\n{broker.tail()}") from None
+        broker.restart_if_dead()
         time.sleep(0.02)
 
 

@@ -18,6 +18,17 @@ from sqlalchemy.sql.expression import FunctionElement
 from sqlalchemy.types import Double
 
 BUSY_S = 30.0
+# A network that drops everything closes no connection. Here a send that nobody acknowledges fails after 15 s. There the
+# server ends a transaction whose client is silent for so long: what it has locked would be locked for all.
+_SILENT_MS = 15_000
+_ACROSS_A_NETWORK = {
+    "connect_timeout": 10,
+    "tcp_user_timeout": _SILENT_MS,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "options": f"-c idle_in_transaction_session_timeout={_SILENT_MS}",
+}
 
 
 class Now(FunctionElement[float]):
@@ -71,7 +82,8 @@ class Database:
 def _engine(url: str) -> Engine:
     parsed = make_url(url)
     if parsed.get_backend_name() == "postgresql":
-        return create_engine(parsed.set(drivername="postgresql+psycopg"), pool_pre_ping=True, pool_recycle=1800)
+        parsed = parsed.set(drivername="postgresql+psycopg")
+        return create_engine(parsed, pool_pre_ping=True, pool_recycle=1800, connect_args=_ACROSS_A_NETWORK)
     engine = create_engine(parsed, connect_args={"timeout": BUSY_S, "check_same_thread": False})
 
     @event.listens_for(engine, "connect")

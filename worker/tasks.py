@@ -17,13 +17,14 @@ from celery import Celery
 from dualms.spec import DistilledField, NeuralField, Spec
 from worker.artifacts import ArtifactStore
 from worker.child import Limits, Outcome, Watch, run_child
-from worker.failures import GPU_OUT_OF_MEMORY, Failure, failure_of
+from worker.failures import GPU_OUT_OF_MEMORY, STORE_FULL, Failure, failure_of
 from worker.lease import Lease, StepRecord, files_from
 from worker.leases import Leases
 from worker.logs import current_job
 from worker.patience import AWAY, patiently
 from worker.pulse import Pulse
 from worker.queue import TASK, Wakeups
+from worker.room import short_of_room
 from worker.scratch import step_folder
 from worker.settings import Settings
 from worker.tracing import Attributes, Tracing
@@ -63,7 +64,9 @@ def register(app: Celery, station: Station) -> None:
 
     @app.task(name=TASK)
     def step(job_id: str, step: str) -> None:
-        take_one(station)
+        # Once woken it goes on until nothing waits: while there is work, no broker is needed.
+        while take_one(station):
+            pass
 
 
 def take_one(station: Station) -> bool:
@@ -71,6 +74,9 @@ def take_one(station: Station) -> bool:
     station.pulse.touch()
     if station.drain.is_set():
         return False
+    if (full := short_of_room(station.settings, station.store)) is not None:
+        log.warning("steps wait: less than %d MiB are free in %s", station.settings.free_bytes >> 20, full)
+        return False  # the reaper repeats the message
     lease = station.leases.claim(station.queue, station.worker_id)
     if lease is None:
         return False
@@ -138,7 +144,10 @@ def _record(station: Station, lease: Lease, outcome: Outcome) -> DesignRecord | 
     match outcome.ending:
         case "done":
             files = files_from(outcome.result["files"])
-            return leases.commit(lease, StepRecord(files, outcome.result["metrics"], outcome.result["timings"]))
+            design = leases.commit(lease, StepRecord(files, outcome.result["metrics"], outcome.result["timings"]))
+            if design is None:
+                log.warning("the lease is lost: the result comes too late")
+            return design
         case "failed":
             return _failed(station, lease, outcome.failure or failure_of(RuntimeError("no failure given")))
         case "missing":
@@ -187,11 +196,16 @@ class _Hold:
             log.warning("cannot renew the lease: %s", error)
             return time.monotonic() - self._kept < self._until_s
         self._kept = time.monotonic()
+        if not kept:
+            log.warning("the lease is lost: the step is stopped")
         return kept
 
 
 def _failed(station: Station, lease: Lease, failure: Failure) -> DesignRecord | None:
-    """Record a failure; a GPU that is too small gets a smaller batch first, once, and the record says so."""
+    """Record a failure, unless another try may do.
+
+    A GPU that is too small gets a smaller batch, once, and the record says so; a full store may have room again.
+    """
     method = lease.spec.field
     too_small = failure.code == GPU_OUT_OF_MEMORY and "points" not in lease.hints
     if too_small and isinstance(method, NeuralField | DistilledField):
@@ -199,5 +213,7 @@ def _failed(station: Station, lease: Lease, failure: Failure) -> DesignRecord | 
         smaller: Spec = lease.spec.model_copy(update={"field": method.model_copy(update={"points": points})})
         reason = f"the GPU's memory is too small for {method.points} points a step; again with {points}"
         return station.leases.requeue.hand_back(lease, reason, spec=smaller, points=points)
+    if failure.code == STORE_FULL:
+        return station.leases.requeue.hand_back(lease, failure.message, failure=failure)
     station.leases.fail(lease, failure)
     return None
