@@ -11,6 +11,7 @@ import hashlib
 import time
 from dataclasses import dataclass
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 from fastapi import Depends, Request, Security
 from fastapi.concurrency import run_in_threadpool
@@ -18,6 +19,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy import select
 
 from service.backend import Backend, BackendDep, design_not_found
+from service.loopback import asked_of_this_machine
 from service.problems import Problem
 from worker import tables
 from worker.keys import KeyRecord, Keys, Scope, exceeded
@@ -56,10 +58,13 @@ class Access:
         The records.
     required
         Ask for a key even if there is none.
+    loopback_only
+        As long as none is asked for, answer only requests that name this machine.
     """
 
-    def __init__(self, records: Records, required: bool) -> None:
+    def __init__(self, records: Records, required: bool, loopback_only: bool) -> None:
         self.keys, self._records, self._required = Keys(records.database), records, required
+        self._loopback_only = loopback_only
         self._looked = float("-inf")
         self._known: dict[str, tuple[float, KeyRecord]] = {}
         self._owners: dict[tuple[str, str], str | None] = {}
@@ -101,6 +106,11 @@ class Access:
             self._looked = time.monotonic()
         return self._required
 
+    async def open_to(self, request: Request) -> bool:
+        """Whether this request may be answered at all: without keys, only one that names this machine, if so set."""
+        named = request.headers.get("host")
+        return not self._loopback_only or asked_of_this_machine(named) or await self.needed()
+
     async def _key(self, secret: str) -> KeyRecord | None:
         name, now = hashlib.sha256(secret.encode()).hexdigest(), time.monotonic()
         known = self._known.get(name)
@@ -128,8 +138,11 @@ async def guard(
     """Who calls; refuses those without a right to do so, and hides what is another owner's."""
     access: Access = request.app.state.access
     scope: Scope = "read" if request.method in READING else "write"
-    if scope == "write" and request.headers.get("sec-fetch-site") == "cross-site":
+    if scope == "write" and _from_another_site(request):
         raise Problem("cross-site", "A page of another site asked for this.", "Call the service from a program.")
+    if not await access.open_to(request):
+        detail = "Without keys this service answers to names of its own machine only."
+        raise Problem("cross-site", detail, "Ask http://127.0.0.1 or http://localhost, or make a key.")
     caller = await access.caller(shown.credentials if shown is not None else None, scope)
     request.state.caller = caller  # for the log
     if caller.only is not None:
@@ -141,9 +154,17 @@ async def guard(
 
 
 async def open_to_all(request: Request) -> bool:
-    """Whether no keys are asked for."""
+    """Whether no keys are asked for, and the request names this machine where that matters."""
     access: Access = request.app.state.access
-    return not await access.needed()
+    return not await access.needed() and await access.open_to(request)
+
+
+def _from_another_site(request: Request) -> bool:
+    """What browsers say of where a request comes from; older ones send its origin only."""
+    site, origin = request.headers.get("sec-fetch-site"), request.headers.get("origin")
+    if site is not None or origin is None:
+        return site == "cross-site"
+    return urlsplit(origin).netloc != request.headers.get("host")
 
 
 OpenDep = Annotated[bool, Depends(open_to_all)]

@@ -20,6 +20,7 @@ from service.designs.endpoints import router as designs
 from service.documentation import describe
 from service.domains.endpoints import router as domains
 from service.gauges import RecordsCollector
+from service.key_first import KeyFirst
 from service.limits import BodyLimit
 from service.metrics import Meter
 from service.settings import Settings
@@ -55,7 +56,7 @@ def create_app(
         try:
             async with open_backend(ours, theirs, traces) as backend:
                 app.state.backend = backend
-                app.state.access = Access(backend.records, ours.require_keys)
+                app.state.access = Access(backend.records, ours.require_keys, ours.loopback_only)
                 collector: Any = RecordsCollector(backend)
                 registry.register(collector)
                 yield
@@ -78,6 +79,7 @@ def create_app(
         app.include_router(router, dependencies=[Depends(guard)], responses=refusals)
     app.include_router(system.router)
     describe(app)
+    app.add_middleware(KeyFirst)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
     app.add_middleware(AccessLog)
     app.add_middleware(Meter, registry=registry)

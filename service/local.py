@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import ipaddress
 import os
 import shutil
 import signal
@@ -24,6 +23,7 @@ from typing import IO
 
 import psutil
 
+from service.loopback import names_this_machine
 from service.processes import Child
 from worker.gpus import gpus
 
@@ -155,14 +155,10 @@ def check_address(host: str, allow_remote: bool, keys: Callable[[], bool]) -> di
     CannotServe
         If ``host`` is not a loopback address, there is no key, and that was not allowed.
     """
-    if allow_remote or host == "localhost":
+    if allow_remote:
         return {}
-    try:
-        loopback = ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        loopback = False
-    if loopback:
-        return {}
+    if names_this_machine(host):
+        return {"DUALMS_LOOPBACK_ONLY": "true"}
     if not keys():
         raise CannotServe(
             f"{host} is not a loopback address, and there is no API key: anyone who reaches it could use the service. "

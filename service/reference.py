@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ def reference_page(document: str) -> str:
 def _call(path: str, method: str, call: Json) -> Json:
     parameters = [
         {"name": p["name"], "where": p["in"], "required": p.get("required", False), "type": _type(p["schema"]),
-         "text": p.get("description", "")}
+         "text": _prose(p.get("description", ""))}
         for p in call.get("parameters", [])
     ]  # fmt: skip
     bodies = [
@@ -37,17 +38,17 @@ def _call(path: str, method: str, call: Json) -> Json:
         for media, content in call.get("requestBody", {}).get("content", {}).items()
     ]
     answers = [
-        {"status": status, "text": answer["description"], "type": _types(answer.get("content", {}))}
+        {"status": status, "text": _prose(answer["description"]), "type": _types(answer.get("content", {}))}
         for status, answer in sorted(call["responses"].items())
     ]
-    text = call.get("description", call.get("summary", ""))
+    text = _prose(str(call.get("description", call.get("summary", ""))))
     return {"id": call["operationId"], "path": path, "method": method, "text": text, "parameters": parameters,
             "bodies": bodies, "answers": answers}  # fmt: skip
 
 
 def _value(name: str, schema: Json) -> Json:
     choices = Markup(" · ").join(Markup("<code>{}</code>").format(c) for c in schema.get("enum", []))
-    return {"name": name, "text": schema.get("description", ""), "choices": choices, "rows": _rows(schema)}
+    return {"name": name, "text": _prose(schema.get("description", "")), "choices": choices, "rows": _rows(schema)}
 
 
 def _rows(schema: Json) -> list[Json]:
@@ -58,10 +59,18 @@ def _rows(schema: Json) -> list[Json]:
             "type": _type(field),
             "required": name in required,
             "default": json.dumps(field["default"]) if "default" in field else None,
-            "text": field.get("description", ""),
+            "text": _prose(field.get("description", "")),
         }
         for name, field in schema.get("properties", {}).items()
     ]
+
+
+def _prose(text: str) -> Markup:
+    """A description, with what stands in backticks as code."""
+    pieces = re.split(r"`+", text)
+    return Markup("").join(
+        Markup("<code>{}</code>").format(piece) if i % 2 else escape(piece) for i, piece in enumerate(pieces)
+    )
 
 
 def _types(content: Json) -> Markup:

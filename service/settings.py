@@ -23,6 +23,9 @@ class Settings(BaseSettings):
     max_wait_s: float = Field(60.0, ge=0, le=600, description="Longest answer to Prefer: wait.")
     watch_s: float = Field(0.2, gt=0, le=10, description="Between two looks for changes of the designs waited for.")
     require_keys: bool = Field(False, description="Ask for an API key even if none was ever made.")
+    loopback_only: bool = Field(
+        False, description="Without keys, answer only requests that name this machine (localhost, 127.0.0.1)."
+    )
     sse_ping_s: int = Field(15, ge=1, le=300, description="Between two comments that keep an event stream open.")
     uploads_at_once: int = Field(2, ge=1, le=64, description="Uploads that are read at the same time; others wait.")
     presigned_s: int = Field(600, ge=10, le=86400, description="Life of an address that downloads from S3 directly.")

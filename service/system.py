@@ -23,6 +23,13 @@ from worker.views import DesignRecord
 router = APIRouter(tags=["service"])
 
 NEWEST = 12
+# The pages bring all that they need along: nothing is loaded from elsewhere, and nobody may frame them.
+PAGE = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
 LINKED = ("report.html", "solid.3mf", "solid.stl", "scene.glb", "report.json")
 
 
@@ -85,21 +92,23 @@ def metrics(request: Request) -> Response:
 
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
-def landing(request: Request, backend: BackendDep, everybody: OpenDep) -> str:
-    """A page for people; shows no designs where keys keep owners apart."""
+def landing(request: Request, backend: BackendDep, everybody: OpenDep) -> Response:
+    """A page for people; shows no designs where keys keep owners apart. It looks again while something is made."""
     shown = backend.records.designs(limit=NEWEST).items if everybody else ()
     queues = ", ".join(f"{q.queue} {q.workers}" for q in backend.records.queues() if q.workers) or "none yet"
     cards = [_card(backend, row) for row in shown]
     base = str(request.base_url).rstrip("/")
-    return str(_page().render(designs=cards, base=base, version=__version__, workers=queues))
+    live = any(not row.final for row in shown)
+    page = _page().render(designs=cards, base=base, version=__version__, workers=queues, live=live)
+    return HTMLResponse(page, headers=PAGE)
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
-def docs(request: Request) -> str:
+def docs(request: Request) -> Response:
     """The calls and the values that they take and give, for people."""
     from service.reference import reference_page  # with its template engine only where somebody looks
 
-    return reference_page(json.dumps(request.app.openapi(), sort_keys=False))
+    return HTMLResponse(reference_page(json.dumps(request.app.openapi(), sort_keys=False)), headers=PAGE)
 
 
 def readiness(backend: Backend) -> Readiness:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -34,6 +35,16 @@ def test_without_a_valid_key_nothing_under_v1_answers(team: Team, headers: dict[
         problem(answer, 401, code)
         assert answer.headers["www-authenticate"] == "Bearer"
     assert httpx.get(f"{team.service.url}/healthz").status_code == 200
+
+
+def test_without_a_key_no_body_is_read(team: Team) -> None:
+    host, port = team.service.url.removeprefix("http://").split(":")
+    form = "Content-Type: multipart/form-data; boundary=b\r\nContent-Length: 400000000"
+    with socket.create_connection((host, int(port)), timeout=20) as line:
+        line.sendall(f"POST /v1/domains HTTP/1.1\r\nHost: x\r\n{form}\r\n\r\n--b\r\n".encode())
+        answer = line.makefile("rb").read()  # to the end: the service hangs up
+    assert answer.startswith(b"HTTP/1.1 401 ")
+    assert b"key-required" in answer
 
 
 def test_the_same_bytes_of_two_owners_are_two_domains_and_neither_learns_of_the_other(team: Team, box: Path) -> None:
@@ -139,9 +150,20 @@ def test_the_audit_log_says_who_did_what(team: Team, box: Path, spec: dict[str, 
         assert any("frida" in line and action in line for line in log.splitlines()), log
 
 
-def test_pages_of_other_sites_cannot_write(served: Served) -> None:
-    answer = served.http.post("/v1/designs", json={}, headers={"Sec-Fetch-Site": "cross-site"})
-    problem(answer, 403, "cross-site")
+@pytest.mark.parametrize("headers", [{"Sec-Fetch-Site": "cross-site"}, {"Origin": "https://evil.example"}])
+def test_pages_of_other_sites_cannot_write(served: Served, headers: dict[str, str]) -> None:
+    problem(served.http.post("/v1/designs", json={}, headers=headers), 403, "cross-site")
+
+
+def test_a_name_that_was_turned_to_this_machine_opens_nothing(served: Served, domain_id: str) -> None:
+    for path in ("/v1/designs", f"/v1/domains/{domain_id}"):
+        problem(served.http.get(path, headers={"Host": "evil.example:8000"}), 403, "cross-site")
+        assert served.http.get(path, headers={"Host": "localhost:8000"}).status_code == 200
+    assert "/v1/designs/" not in served.http.get("/", headers={"Host": "evil.example"}).text
+
+
+def test_with_keys_any_name_will_do(team: Team) -> None:
+    assert team.client("ida").get("/v1/designs", headers={"Host": "dualms.example"}).status_code == 200
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:1/x", "http://169.254.169.254/latest", "ftp://example.org"])
