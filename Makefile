@@ -35,7 +35,7 @@ check: install
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-# Known vulnerabilities of what is installed; asks pypi.org, so it is no part of the tests.
+# Known vulnerabilities of what is installed; asks the public list of advisories, so it is no part of the tests.
 audit: install
 	$(BIN)/pip list --format freeze --exclude-editable | sed 's/+.*//' > .audit.txt
 	$(BIN)/pip-audit --strict --no-deps --disable-pip --progress-spinner off --requirement .audit.txt
