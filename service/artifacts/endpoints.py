@@ -7,16 +7,18 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
 
-from service.artifacts.sending import AskedDep, Blob, send_blob
+from dualms.steps import MEDIA_TYPES
+from service.artifacts.sending import AskedDep, Blob, contents, send_blob
 from service.backend import BackendDep
 from service.designs.endpoints import DesignId
 from service.problems import Problem, answers
 
 router = APIRouter(prefix="/v1/designs", tags=["artifacts"])
 
+_BYTES = contents("application/octet-stream", *MEDIA_TYPES.values())
 _ANSWERS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}},
-    206: {"description": "The range that was asked for."},
+    200: _BYTES,
+    206: {"description": "The range that was asked for.", **_BYTES},
     304: {"description": "Unchanged."},
     307: {"description": "The bytes are at another address (S3)."},
     **answers(404, 416, 422),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import quote
 
 from fastapi import Depends, Header, Request
@@ -37,6 +37,12 @@ def asked(
 
 
 AskedDep = Annotated[Asked, Depends(asked)]
+
+
+def contents(*media_types: str) -> dict[str, Any]:
+    """What a call's documentation says of bytes in one of these media types."""
+    plain = sorted({media_type.partition(";")[0] for media_type in media_types})
+    return {"content": {media_type: {"schema": {"type": "string", "format": "binary"}} for media_type in plain}}
 
 
 @dataclass(frozen=True)

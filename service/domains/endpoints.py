@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, File, Form, Path, Query, UploadFile
 from fastapi.responses import Response
 
 from dualms.spec import Unit
 from service.access import CallerDep, note
-from service.artifacts.sending import AskedDep, Blob, send_blob
+from service.artifacts.sending import AskedDep, Blob, contents, send_blob
 from service.backend import BackendDep
 from service.domains.schemas import DomainOut, DomainPage
 from service.domains.uploads import forget, receive
@@ -19,6 +19,14 @@ from worker.domains import Domains
 
 router = APIRouter(prefix="/v1/domains", tags=["domains"])
 
+_BYTES = contents("application/octet-stream")
+_FILE: dict[int | str, dict[str, Any]] = {
+    200: _BYTES,
+    206: {"description": "The range that was asked for.", **_BYTES},
+    304: {"description": "Unchanged."},
+    307: {"description": "The bytes are at another address (S3)."},
+    **answers(404, 416, 422),
+}
 DomainId = Annotated[str, Path(pattern="^[0-9a-f]{64}$", description="Id of a domain.")]
 
 
@@ -60,8 +68,8 @@ def get_domain(backend: BackendDep, domain_id: DomainId) -> DomainOut:
     return domain_view(backend.domain(domain_id))
 
 
-@router.head("/{domain_id}/file", response_class=Response, responses=answers(404, 416, 422))
-@router.get("/{domain_id}/file", response_class=Response, responses=answers(404, 416, 422))
+@router.head("/{domain_id}/file", response_class=Response, responses=_FILE)
+@router.get("/{domain_id}/file", response_class=Response, responses=_FILE)
 def get_domain_file(backend: BackendDep, domain_id: DomainId, ask: AskedDep) -> Response:
     """The file as it was uploaded."""
     row = backend.domain(domain_id)

@@ -9,6 +9,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
 from service.access import CallerDep, note
+from service.artifacts.sending import contents
 from service.backend import BackendDep
 from service.conditional import wait_s
 from service.designs.endpoints import Prefer
@@ -16,7 +17,7 @@ from service.problems import answers
 from service.studies.following import find_study, follow_study, study_answer, study_file, study_not_found
 from service.studies.schemas import StudyIn, StudyOut, StudyPage
 from service.studies.submission import submit_study
-from service.studies.views import study_summary
+from service.studies.views import FILES, study_summary
 from worker.studies import Studies
 
 router = APIRouter(prefix="/v1/studies", tags=["studies"])
@@ -29,7 +30,7 @@ _HEADERS = {
     "Retry-After": {"description": "Seconds to the next look.", "schema": {"type": "integer"}},
     "ETag": {"description": "Changes with the study.", "schema": {"type": "string"}},
 }
-_BYTES = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+_BYTES = contents(*FILES.values())
 
 
 @router.post("", status_code=202, response_model=StudyOut,
@@ -93,7 +94,7 @@ def delete_study(backend: BackendDep, caller: CallerDep, study_id: StudyId) -> R
 
 
 @router.get("/{study_id}/artifacts/{name}", response_class=Response,
-            responses={200: {"content": _BYTES}, 304: {"description": "Unchanged."}, **answers(404, 422)})  # fmt: skip
+            responses={200: _BYTES, 304: {"description": "Unchanged."}, **answers(404, 422)})  # fmt: skip
 def get_study_file(
     backend: BackendDep,
     study_id: StudyId,

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import schemathesis
+from schemathesis.transport.serialization import Binary
 
-MESH = Path(os.environ["DUALMS_FUZZ_MESH"]).read_bytes()
+MESH = Binary(Path(os.environ["DUALMS_FUZZ_MESH"]).read_bytes())
 SPEC = json.loads(Path(os.environ["DUALMS_FUZZ_SPEC"]).read_text())
 DOMAIN = os.environ["DUALMS_FUZZ_DOMAIN"]
 
