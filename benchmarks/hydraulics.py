@@ -102,7 +102,8 @@ class Table:
         }
         self._provenance = {
             "dualms": __version__,
-            "science_sha256": science(),
+            "science_sha256": hash_of("graph", "cut", "field", "flow.py", "skeletons.py"),
+            "solver_sha256": hash_of("cfd"),
             "openfoam": foam_version,
             "python": platform.python_version(),
             "numpy": np.__version__,
@@ -115,13 +116,13 @@ class Table:
             self.rows = found["rows"]
 
     def find(self, key: dict[str, Any]) -> dict[str, Any] | None:
-        """The row of a key; one of ours only if the same science made it."""
-        now = self._provenance["science_sha256"]
+        """The row of a key, if the same solver made it, and if it is one of ours the same science too."""
+        code = ("solver_sha256", "science_sha256") if key["surface"] == "ours" else ("solver_sha256",)
         return next(
             (
                 row
                 for row in self.rows
-                if row["key"] == key and (key["surface"] != "ours" or row["provenance"]["science_sha256"] == now)
+                if row["key"] == key and all(row["provenance"][c] == self._provenance[c] for c in code)
             ),
             None,
         )
@@ -203,12 +204,12 @@ class Bench:
         return row
 
 
-def science() -> str:
-    """Hash of the code that makes a design's field: a row of ours belongs to the code that made it."""
-    files = [p for name in ("graph", "cut", "field") for p in (PACKAGE / name).glob("*.py")]
-    files += [PACKAGE / name for name in ("flow.py", "skeletons.py")]
-    text = b"".join(p.read_bytes() for p in sorted(files))
-    return hashlib.sha256(text).hexdigest()[:16]
+def hash_of(*names: str) -> str:
+    """Hash of files and folders of the package: a row belongs to the code that made it."""
+    files = [
+        p for name in names for p in ((PACKAGE / name).glob("*.py") if (PACKAGE / name).is_dir() else [PACKAGE / name])
+    ]
+    return hashlib.sha256(b"".join(p.read_bytes() for p in sorted(files))).hexdigest()[:16]
 
 
 def overridden(spec: Spec, overrides: dict[str, Any]) -> Spec:

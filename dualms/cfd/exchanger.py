@@ -13,11 +13,11 @@ import numpy as np
 from dualms.cfd.case import FlowControl
 from dualms.cfd.channels import COLD, HOT, OUTSIDE, VoxelExchanger
 from dualms.cfd.flow import FlowSolution, solve_flow
-from dualms.cfd.fluxes import conservative
-from dualms.cfd.heat import HeatSolution, Stream, exchange, isothermal, wall_faces
+from dualms.cfd.heat import HeatSolution, exchange, isothermal
 from dualms.cfd.mesh import ChannelMesh, channel_mesh
 from dualms.cfd.openfoam import OpenFoam
 from dualms.cfd.results import ExchangerFigures, FluidFigures, counterflow_ntu
+from dualms.cfd.stream import Stream, stream_of
 from dualms.spec import EvaluationSpec, FluidsSpec
 
 NAMES = {HOT: "hot", COLD: "cold"}
@@ -92,22 +92,20 @@ def solve_exchanger(
     flows = {sign: future.result() for sign, future in waiting.items()}
     report(0.95, "temperatures")
     streams = {
-        sign: Stream(
-            meshes[sign], conservative(meshes[sign], flow.flux_m3_s), np.asarray(flow.pressure_pa), given[sign]
-        )
+        sign: stream_of(exchanger, sign, meshes[sign], flow.flux_m3_s, flow.velocity_m_s, flow.pressure_pa, given[sign])
         for sign, flow in flows.items()
     }
     heats = dict(
         zip((HOT, COLD), exchange(exchanger, streams[HOT], streams[COLD], spec.wall_conductivity_w_m_k), strict=True)
     )
     middle = (fluids.hot.inlet_temperature_k + fluids.cold.inlet_temperature_k) / 2
-    films = {sign: isothermal(exchanger, stream, middle) for sign, stream in streams.items()}
+    films = {sign: isothermal(stream, middle) for sign, stream in streams.items()}
     figures = {
         sign: _fluid_figures(exchanger, sign, streams[sign], flows[sign], heats[sign], films[sign], middle)
         for sign in (HOT, COLD)
     }
     solved = {sign: SolvedFluid(meshes[sign], flows[sign], heats[sign]) for sign in (HOT, COLD)}
-    both_figures = _exchanger_figures(exchanger, fluids, meshes, heats, figures)
+    both_figures = _exchanger_figures(exchanger, fluids, streams, heats, figures)
     report(1.0, f"ΔP {both_figures.pressure_drop_pa:.4g} Pa, UA {both_figures.ua_w_k:.4g} W/K")
     return SolvedExchanger(exchanger, solved[HOT], solved[COLD], both_figures)
 
@@ -150,8 +148,7 @@ def _fluid_figures(
     mesh, fluid = stream.mesh, stream.fluid
     inlet = fluid.inlet_temperature_k
     left = (wall_k - film.outlet_k) / (wall_k - inlet)
-    volume = len(mesh.cells) * mesh.spacing_m**3
-    diameter = 4 * volume / _wetted_area(exchanger, mesh)
+    diameter = stream.hydraulic_diameter_m
     speed = float(np.sqrt((flow.velocity_m_s**2).sum(axis=1).mean()))
     entering = -float(flow.flux_m3_s[mesh.patch("inlet")].sum())
     leaving = float(flow.flux_m3_s[mesh.patch("outlet")].sum())
@@ -178,17 +175,10 @@ def _fluid_figures(
     )
 
 
-def _wetted_area(exchanger: VoxelExchanger, mesh: ChannelMesh) -> float:
-    """Wall by its true area; the envelope's stair steps count two thirds, the mean over all directions."""
-    envelope = mesh.patch("envelope")
-    steps = (envelope.stop - envelope.start) * mesh.face_area_m2
-    return float(wall_faces(exchanger, mesh).area_m2.sum() + 2 / 3 * steps)
-
-
 def _exchanger_figures(
     exchanger: VoxelExchanger,
     fluids: FluidsSpec,
-    meshes: dict[int, ChannelMesh],
+    streams: dict[int, Stream],
     heats: dict[int, HeatSolution],
     figures: dict[int, FluidFigures],
 ) -> ExchangerFigures:
@@ -197,7 +187,7 @@ def _exchanger_figures(
     duty = heats[COLD].wall_w
     effectiveness = duty / (min(rates) * span) if span else 0.0
     ntu = counterflow_ntu(min(effectiveness, 1 - 1e-9), min(rates) / max(rates))
-    area = float(np.mean([wall_faces(exchanger, meshes[sign]).area_m2.sum() for sign in (HOT, COLD)]))
+    area = float(np.mean([stream.wall.area_m2.sum() for stream in streams.values()]))
     volume = int((exchanger.labels != OUTSIDE).sum()) * exchanger.spacing_m**3
     return ExchangerFigures(
         hot=figures[HOT],

@@ -19,7 +19,7 @@ from dualms.grid import Array
 Index = NDArray[np.int32]
 
 
-def solve_upwind(matrix: sparse.csr_array, rhs: Array, order: NDArray[np.int64], tolerance: float = 1e-8) -> Array:
+def solve_upwind(matrix: sparse.csr_array, rhs: Array, order: NDArray[np.int64], tolerance: float = 1e-7) -> Array:
     """Solve a system whose unknowns are best visited in a given order.
 
     Parameters

@@ -51,8 +51,8 @@ class ExchangerFigures(Model):
     effectiveness: float = Field(description="Duty over what an ideal counter-flow exchanger would reach.")
     ntu: float = Field(description="UA over the smaller capacity rate.")
     ua_w_k: float = Field(
-        description="UA of the counter-flow exchanger of the same duty. Where thermal layers are thinner than a voxel "
-        "(oils: always in quick mode) it grows with 1/voxel: it compares areas, not what the flow does to them."
+        description="UA of the counter-flow exchanger of the same duty, with films from the solved shear on the wall. "
+        "In oils it still grows with the resolution; its ratio between two surfaces hardly does: for ranking."
     )
     pressure_drop_pa: float = Field(description="Mean of the two fluids.")
     pumping_power_w: float = Field(description="Sum of the two fluids.")

@@ -6,10 +6,11 @@ from dualms.cfd.case import FlowControl
 from dualms.cfd.channels import COLD, HOT
 from dualms.cfd.flow import solve_flow
 from dualms.cfd.fluxes import conservative, divergence
-from dualms.cfd.heat import Stream, exchange, isothermal, wall_faces
+from dualms.cfd.heat import exchange, isothermal
 from dualms.cfd.linear import solve_upwind
 from dualms.cfd.mesh import channel_mesh
 from dualms.cfd.results import counterflow_ntu
+from dualms.cfd.stream import Stream, stream_of
 from tests.dualms.cfd.conftest import SIDE_M, slow_fluid, two_ducts
 
 
@@ -25,8 +26,9 @@ def plate_stream(height: int, length: int, fluid_sign: int, peclet: float, **oth
     speed = 0.01 * ((3 * b**2 - 2 * b**3) - (3 * a**2 - 2 * a**3)) / (h / SIDE_M) * (1 if fluid_sign == HOT else -1)
     along = np.select([mesh.direction == 0, mesh.direction == 1], [-1.0, 1.0])
     flux = along * speed[mesh.owner] * mesh.face_area_m2
-    x = mesh.cells[:, 0].astype(float)
-    return exchanger, Stream(mesh, flux, -x * (1 if fluid_sign == HOT else -1), fluid)
+    velocity = np.column_stack([speed, np.zeros((len(speed), 2))])
+    downhill = -mesh.cells[:, 0].astype(float) * (1 if fluid_sign == HOT else -1)
+    return exchanger, stream_of(exchanger, fluid_sign, mesh, flux, velocity, downhill, fluid)
 
 
 def graetz_plates(x_over_gap_peclet: float) -> float:
@@ -48,25 +50,16 @@ def graetz_plates(x_over_gap_peclet: float) -> float:
     return float(((modes.T @ load) ** 2 * np.exp(-values * x_over_gap_peclet)).sum())
 
 
-@pytest.mark.parametrize("peclet", [20.0, 100.0])
-def test_isothermal_plates_follow_the_graetz_series(peclet) -> None:
-    exchanger, stream = plate_stream(16, 64, HOT, peclet)
-    found = isothermal(exchanger, stream, 300.0)
-    share = (found.outlet_k - 300) / (stream.fluid.inlet_temperature_k - 300)
-    assert share == pytest.approx(graetz_plates(4 / peclet), rel=0.05)
-
-
-def test_the_transferred_heat_converges_to_the_graetz_series_faster_than_first_order() -> None:
-    # A thin thermal layer; convection along the grid's lines, so that upwinding smears little across it.
-    peclet, errors = 400.0, []
-    for n in (8, 16, 32):
-        exchanger, stream = plate_stream(n, 4 * n, HOT, peclet)
-        found = isothermal(exchanger, stream, 300.0)
-        share = (found.outlet_k - 300) / (stream.fluid.inlet_temperature_k - 300)
-        errors.append(abs((1 - share) / (1 - graetz_plates(4 / peclet)) - 1))
-    rates = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (rates > 1).all(), (errors, rates)
-    assert errors[-1] < 0.01
+@pytest.mark.parametrize("height", [6, 12])
+@pytest.mark.parametrize("peclet", [1e2, 1e3, 1e4, 1e5, 1e6])
+def test_isothermal_plates_follow_the_graetz_series_however_thin_the_layers(peclet, height) -> None:
+    # At Péclet 1e6 the layer ends a hundredth of the gap thick.
+    _, stream = plate_stream(height, 8 * height, HOT, peclet)
+    found = isothermal(stream, 300.0)
+    given_off = 1 - (found.outlet_k - 300) / (stream.fluid.inlet_temperature_k - 300)
+    # Where the profile is developed the film against the mixed core is a tenth too thick: it is meant for thin layers.
+    tolerance = 0.12 if peclet < 1e3 else 0.05
+    assert given_off == pytest.approx(1 - graetz_plates(8 / peclet), rel=tolerance)
 
 
 def test_wall_heat_is_the_enthalpy_drop_and_what_one_fluid_loses_the_other_gains() -> None:
@@ -95,14 +88,6 @@ def test_a_worse_wall_lets_less_heat_through() -> None:
     _, cold = plate_stream(8, 24, COLD, 50.0, inlet_temperature_k=300.0)
     duties = [exchange(exchanger, hot, cold, k)[1].wall_w for k in (0.02, 2.0, 200.0)]
     assert duties[0] < duties[1] < duties[2]
-
-
-def test_wall_faces_of_a_plane_have_the_planes_area_at_half_a_voxel() -> None:
-    exchanger = two_ducts(6, 4, 12, side_walls=False)
-    mesh = channel_mesh(exchanger, 1)
-    wall = wall_faces(exchanger, mesh)
-    assert wall.area_m2.sum() == pytest.approx(2 * 4 * 12 * mesh.face_area_m2)
-    assert np.allclose(wall.gap_m, mesh.spacing_m / 2, rtol=1e-4)
 
 
 def test_projected_fluxes_leave_no_cell_with_an_outflow() -> None:
@@ -146,8 +131,8 @@ def test_solved_plates_follow_the_graetz_series(foam, tmp_path) -> None:
     mesh = channel_mesh(exchanger, HOT)
     fluid = slow_fluid(1.0, 60.0, SIDE_M * 2 * exchanger.spacing_m)
     flow = solve_flow(foam, mesh, fluid, tmp_path / "case", FlowControl(envelope="slip"))
-    stream = Stream(mesh, conservative(mesh, flow.flux_m3_s), flow.pressure_pa, fluid)
-    found = isothermal(exchanger, stream, 300.0)
+    stream = stream_of(exchanger, HOT, mesh, flow.flux_m3_s, flow.velocity_m_s, flow.pressure_pa, fluid)
+    found = isothermal(stream, 300.0)
     assert found.wall_w == pytest.approx(found.enthalpy_w, rel=5e-3)
     share = (found.outlet_k - 300) / (fluid.inlet_temperature_k - 300)
     assert share == pytest.approx(graetz_plates(6 / 60), rel=0.05)
