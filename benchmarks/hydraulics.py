@@ -54,6 +54,7 @@ EXAMPLES = HERE.parent / "examples"
 CELLS = {"gyroid": (0.17, 0.2, 0.238, 0.28), "p": (0.17, 0.238), "d": (0.238, 0.3), "iwp": (0.24, 0.32)}
 SITES = (300, 400, 500, 600, 800)
 GRIDS = (64, 96, 128)
+CLOSED = 10  # times the least ΔP of all cell sizes: one that happens to be closed at a port is no baseline
 
 PUBLISHED = {  # paper, appendix C: (ΔT hot K, ΔT cold K, ΔP hot Pa, ΔP cold Pa) of the gyroid, and of theirs
     300: ((8.11, 8.138, 1415, 1837), (7.578, 7.573, 912, 976)),
@@ -122,7 +123,7 @@ class Table:
             (
                 row
                 for row in self.rows
-                if row["key"] == key and all(row["provenance"][c] == self._provenance[c] for c in code)
+                if row["key"] == key and all(row["provenance"].get(c) == self._provenance[c] for c in code)
             ),
             None,
         )
@@ -240,11 +241,20 @@ def line(row: dict[str, Any]) -> str:
     )
 
 
-def law(table: Table, grid: int, kind: str = "gyroid") -> PowerLaw | None:
-    """What a periodic surface needs for any UA, from its solved cell sizes at a grid."""
-    rows = [r for r in table.rows if r["figures"] and r["key"].get("surface") == kind and r["key"]["grid"] == grid]
+def law(table: Table, row: dict[str, Any], kind: str = "gyroid") -> PowerLaw | None:
+    """What a periodic surface needs for any UA: its cell sizes solved at a row's grid by the same solver."""
+    solver = row["provenance"].get("solver_sha256")
+    rows = [
+        r
+        for r in table.rows
+        if r["figures"]
+        and (r["key"].get("surface"), r["key"]["grid"]) == (kind, row["key"]["grid"])
+        and r["provenance"].get("solver_sha256") == solver
+    ]
     if not rows:
         return None
+    least = min(r["figures"]["pressure_drop_pa"] for r in rows)
+    rows = [r for r in rows if r["figures"]["pressure_drop_pa"] < CLOSED * least]
     return PowerLaw(
         tuple(r["key"]["cell"] for r in rows),
         tuple(r["figures"]["ua_w_k"] for r in rows),
@@ -253,9 +263,9 @@ def law(table: Table, grid: int, kind: str = "gyroid") -> PowerLaw | None:
 
 
 def show(table: Table) -> None:
-    """All rows, with ΔP over a gyroid's of the same UA at the same grid."""
+    """All rows, with ΔP over a gyroid's of the same UA at the same grid by the same solver."""
     for row in table.rows:
-        found = law(table, row["key"]["grid"])
+        found = law(table, row)
         ratio = ""
         if found is not None and row["figures"] is not None:
             figures = row["figures"]
@@ -272,7 +282,7 @@ def run(arguments: argparse.Namespace) -> None:
     grids = arguments.grid or [96]
     if arguments.mode == "curve":
         for grid, kind in itertools.product(grids, arguments.surface or ["gyroid"]):
-            for cell in CELLS[kind]:
+            for cell in arguments.cell or CELLS[kind]:
                 bench.periodic(kind, cell, grid)
     elif arguments.mode == "table":
         for grid, sites in itertools.product(grids, SITES):
@@ -309,6 +319,7 @@ def main() -> None:
     parser.add_argument("--wall", type=float, default=0.0075, help="thickness over the longest side")
     parser.add_argument("--grid", type=int, action="append", help="voxels along the longest side; may be repeated")
     parser.add_argument("--surface", action="append", choices=sorted(CELLS), help="for curve; may be repeated")
+    parser.add_argument("--cell", type=float, action="append", help="for curve: over the longest side; may be repeated")
     parser.add_argument("--vary", action="append", default=[], metavar="FIELD=V1,V2", help="for sweep; may be repeated")
     run(parser.parse_args())
 

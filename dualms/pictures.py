@@ -23,24 +23,29 @@ SIDES = ((0, METAL), (1, HOT), (-1, COLD))
 CAPTION = 1 / 40  # height of the captions over the picture's width
 
 
-def preview(body: Body, path: Path, width: int = 1280) -> None:
-    """Write a picture with three views: cut open, both fluids, and the closed solid.
+def preview(body: Body, hot_bones: TriangleMesh, cold_bones: TriangleMesh, path: Path, width: int = 1280) -> None:
+    """Write a picture with four views: cut open, the skeletons, both fluids, and the closed solid.
 
     Parameters
     ----------
     body
         In metres.
+    hot_bones, cold_bones
+        The two skeletons, in metres.
     path
         A PNG file.
     width
         Pixels across.
     """
-    body = in_units(body, float(np.ptp(body.solid.vertices, axis=0).max()))
-    half, caption = width // 2, max(12, round(CAPTION * width))
+    unit = float(np.ptp(body.solid.vertices, axis=0).max())
+    body = in_units(body, unit)
+    bones = [(mesh.moved(1 / unit, np.zeros(3)), colour) for mesh, colour in ((hot_bones, HOT), (cold_bones, COLD))]
+    third, caption = width // 3, max(12, round(CAPTION * width))
     facing = _port_direction(body)
-    whole, small = (width, int(0.5 * width)), (half, int(0.7 * half))
+    whole, small = (width, int(0.5 * width)), (third, int(0.8 * third))
     views = (
         ("Cut open: hot side red, cold side blue", _cut_open(body), whole, None),
+        ("Skeletons", bones, small, facing),
         ("Hot and cold fluid", [(body.hot.mesh, HOT), (body.cold.mesh, COLD)], small, facing),
         ("The printed body", [(body.solid.part(body.solid_side == s), c) for s, c in SIDES], small, facing),
     )
@@ -50,8 +55,8 @@ def preview(body: Body, path: Path, width: int = 1280) -> None:
         pictures.append(captioned(render(parts, camera(points, size, side), size), title, caption))
     sheet = Image.new("RGB", (width, pictures[0].height + pictures[1].height), "white")
     sheet.paste(pictures[0], (0, 0))
-    sheet.paste(pictures[1], (0, pictures[0].height))
-    sheet.paste(pictures[2], (half, pictures[0].height))
+    for k, picture in enumerate(pictures[1:]):
+        sheet.paste(picture, (k * third, pictures[0].height))
     sheet.save(path, optimize=True)
 
 

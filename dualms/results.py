@@ -20,9 +20,10 @@ from dualms.maps import maps
 from dualms.measure.report import Report
 from dualms.pictures import preview
 from dualms.sections import sections_picture
+from dualms.skeleton_mesh import skeleton_meshes
 from dualms.spec import Unit
 from dualms.steps import ARTIFACTS, sha256_of
-from dualms.surface import Surface
+from dualms.surface import Surface, to_metres
 
 
 def write_meshes(
@@ -45,6 +46,7 @@ def write_meshes(
     write_stl(scaled.cold.mesh, folder / "fluid_cold.stl")
     write_json(folder / "patches.json", patches(body, units))
     colours = np.array([SIDE_COLOURS[s] for s in (-1, 0, 1)], dtype=np.uint8)[body.solid_side + 1]
+    bones = {name: to_metres(domain, mesh) for name, mesh in skeleton_meshes(graph, partition).items()}
     # glTF is in metres by definition.
     write_glb(
         {
@@ -52,10 +54,13 @@ def write_meshes(
             "fluid_hot": (body.hot.mesh, HOT),
             "fluid_cold": (body.cold.mesh, COLD),
             "surface": (surface.mesh, METAL),
+            "skeleton_hot": (bones["skeleton_hot"], HOT),
+            "skeleton_cold": (bones["skeleton_cold"], COLD),
+            "cut_edges": (bones["cut_edges"], METAL),
         },
         folder / "scene.glb",
     )
-    preview(body, folder / "preview.png", preview_width)
+    preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", preview_width)
     maps(surface, body, folder / "maps.png", preview_width // 2)
     sections_picture(domain, body, folder / "sections.png")
 

@@ -214,3 +214,13 @@ def test_skeleton_sites_lie_in_the_box(designed: tuple[Path, Recorder]) -> None:
     assert len(sites) == len(document["labels"]) == 60
     assert (sites > 0).all()
     assert (sites < [0.08, 0.06, 0.04]).all()
+
+
+def test_the_scene_holds_the_skeletons_in_metres(designed: tuple[Path, Recorder]) -> None:
+    scene = trimesh.load_scene(designed[0] / "scene.glb")
+    assert {"skeleton_hot", "skeleton_cold", "cut_edges"} <= set(scene.geometry)
+    low, high = scene.geometry["solid"].bounds
+    for name in ("skeleton_hot", "skeleton_cold"):
+        bones = scene.geometry[name].bounds
+        assert (bones[0] > low - 1e-3).all()
+        assert (bones[1] < high + 1e-3).all()
