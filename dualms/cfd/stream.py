@@ -63,7 +63,7 @@ class Stream:
     def hydraulic_diameter_m(self) -> float:
         """Four times the volume over the wetted surface, wall and envelope."""
         envelope = self.mesh.patch("envelope")
-        steps = (envelope.stop - envelope.start) * self.mesh.face_area_m2
+        steps = float(envelope.stop - envelope.start) * self.mesh.face_area_m2
         wetted = float(self.wall.area_m2.sum()) + STEPPED * steps
         return 4 * len(self.mesh.cells) * self.mesh.spacing_m**3 / wetted
 
