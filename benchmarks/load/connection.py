@@ -20,7 +20,7 @@ class Line:
 
     async def get(self, path: str, headers: str = "") -> int:
         """Status of a GET; the body is read and dropped."""
-        self.writer.write(f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode())
+        self.writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{headers}\r\n".encode())
         head = (await self.reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
         status = int(head[9:12])
         if found := re.search(r"content-length: (\d+)", head):
