@@ -157,7 +157,9 @@ def evaluate(folder: Path, spec: Spec, progress: Progress) -> None:
             domain, field.on(grid), grid, wall, spec.fluids, asked, progress, case, inside, picture, headers, outside
         ),
     )
-    results.write_evaluation(folder, report, solved.to_json(), watch.seconds, case if asked.keep_case else None)
+    results.write_evaluation(
+        folder, report, solved.to_json(), watch.seconds, case, "case" if asked.keep_case else "logs"
+    )
 
 
 def shells(spec: ShellSpec | None, units: Unit, domain: Domain) -> tuple[float, float]:

@@ -101,14 +101,14 @@ def read_report(folder: Path) -> Report:
 
 
 def write_evaluation(
-    folder: Path, report: Report, evaluation: dict[str, Any], seconds: dict[str, float], case: Path | None
+    folder: Path, report: Report, evaluation: dict[str, Any], seconds: dict[str, float], case: Path, archive: str
 ) -> None:
-    """Write ``evaluation.json``, join it to the report, and pack the solver's case if it is to be kept."""
+    """Write ``evaluation.json``, join it to the report, and pack what the solvers left under a name."""
     write_json(folder / "evaluation.json", evaluation)
     joined = report.model_copy(update={"evaluation": evaluation}).timed(report.timings_s | seconds)
     write_report(folder, joined)
-    if case is not None:
-        shutil.make_archive(str(folder / "case"), "zip", case)
+    if case.is_dir():
+        shutil.make_archive(str(folder / archive), "zip", case)
 
 
 def write_report(folder: Path, report: Report) -> None:

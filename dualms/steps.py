@@ -55,7 +55,7 @@ OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {
     "prepare": ("flow.png",),
     "solve": (),
     "build": (),
-    "evaluate": ("evaluation.png", "case.zip"),
+    "evaluate": ("evaluation.png", "case.zip", "logs.zip"),
 }
 INTERNAL: dict[Step, tuple[str, ...]] = {
     "prepare": ("prepared.safetensors", "timings-prepare.json"),

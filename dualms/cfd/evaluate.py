@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +70,7 @@ def evaluate(
         Stage ``evaluation``.
     workdir
         Receives the solver's cases and logs: the design's ``hot`` and ``cold`` under ``design`` stay if
-        ``spec.keep_case``; all others are removed.
+        ``spec.keep_case``; of all others only the logs stay.
     picture
         PNG file for streamlines and wall pressures, or for the reason why there are none.
     headers, skin
@@ -182,7 +181,16 @@ class _Runner:
         finally:
             self._done += 1
             if not (self.spec.keep_case and name == "design"):
-                shutil.rmtree(folder, ignore_errors=True)
+                _leave_logs(folder)
+
+
+def _leave_logs(folder: Path) -> None:
+    """Remove a case but for the solver's logs."""
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path.is_file() and not path.name.startswith("log."):
+            path.unlink()
+        elif path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
 
 
 def _baseline(
