@@ -42,7 +42,8 @@ AskedDep = Annotated[Asked, Depends(asked)]
 def contents(*media_types: str) -> dict[str, Any]:
     """What a call's documentation says of bytes in one of these media types."""
     plain = sorted({media_type.partition(";")[0] for media_type in media_types})
-    return {"content": {media_type: {"schema": {"type": "string", "format": "binary"}} for media_type in plain}}
+    file = {"type": "string", "format": "binary"}
+    return {"content": {t: {"schema": {} if t == "application/json" else file} for t in plain}}
 
 
 @dataclass(frozen=True)

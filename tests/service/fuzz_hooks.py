@@ -30,9 +30,7 @@ def before_call(context: Any, case: Any, kwargs: dict[str, Any]) -> None:
     match case.operation.label:
         case "POST /v1/domains":
             case.body = {"file": MESH, "units": "mm"}
-        case "POST /v1/designs" if case.media_type == "multipart/form-data":
-            case.body = {"domain": MESH, "spec": SPEC}
-        case "POST /v1/designs":
+        case "POST /v1/designs" if case.media_type == "application/json":
             case.body = {**case.body, "domain": DOMAIN, "spec": SPEC}
             case.body.pop("webhook", None)
         case "POST /v1/studies":
