@@ -83,14 +83,14 @@ def diffuse(
     each(0, steps, area(u, fraction, eps, spacing), 0)
     if steps == 0:
         return u, hot, eps
-    heat = WallHeat(fraction, total / steps / spacing**2)
+    heat = WallHeat(fraction, total / steps / spacing**2, lattice.periodic)
     decay = np.float32(math.exp(-2 * total / steps / eps**2))
     for step in range(1, steps + 1):
         u = heat(u)
         # The reaction's exact flow; the heat step before it is exact too (Strang splitting would change the ends only).
         u /= np.sqrt(u * u + (1 - u * u) * decay)
         np.clip(u, low, high, out=u)
-        kept = topology.follow(hot, u, lattice.inside)
+        kept = topology.follow(hot, u, lattice.inside, lattice.periodic)
         at = tuple(kept.T)
         u[at] = np.where(hot[at], _PIN, -_PIN)
         figure = area(u, fraction, eps, spacing)

@@ -46,9 +46,12 @@ class WallHeat:
         (nx, ny, nz) float32 share of each voxel that lies in the domain.
     time
         Diffusion time in squared spacings.
+    periodic
+        Whether the box continues across its faces.
     """
 
-    def __init__(self, fraction: Floats, time: float) -> None:
+    def __init__(self, fraction: Floats, time: float, periodic: bool = False) -> None:
+        self._mode = "wrap" if periodic else "constant"
         self._kernel = heat_kernel(time)
         self._fraction = fraction
         mass = self._convolve(fraction)
@@ -63,7 +66,7 @@ class WallHeat:
 
     def _convolve(self, u: Floats) -> Floats:
         for axis in range(3):
-            u = ndimage.correlate1d(u, self._kernel, axis=axis, mode="constant")
+            u = ndimage.correlate1d(u, self._kernel, axis=axis, mode=self._mode)
         return u
 
 

@@ -28,9 +28,12 @@ def distance_of(u: Floats, eps: float) -> Floats:
     return np.asarray(np.arctanh(np.clip(u, -_SATURATION, _SATURATION)) * np.float32(math.sqrt(2) * eps))
 
 
-def continued(distance: Floats, known: NDArray[np.bool_], grid: Grid) -> GridSamples:
-    """Samples of a field on a wider grid, continued smoothly from the voxels where it is known."""
+def continued(distance: Floats, known: NDArray[np.bool_], grid: Grid, periodic: bool = False) -> GridSamples:
+    """Samples of a field on a wider grid, continued smoothly from the voxels where it is known, or periodically."""
     width = math.ceil(MARGIN / grid.spacing)
-    values = extend(np.pad(distance, width, mode="edge"), np.pad(known, width))
+    if periodic:
+        values = np.pad(distance, width, mode="wrap")
+    else:
+        values = extend(np.pad(distance, width, mode="edge"), np.pad(known, width))
     nx, ny, nz = values.shape
     return GridSamples(Grid(grid.origin - width * grid.spacing, grid.spacing, (nx, ny, nz)), values)

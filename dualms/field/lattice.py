@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from dualms.domain import Domain
 from dualms.errors import EmptySurface
 from dualms.field import topology
+from dualms.field.torus import Torus
 from dualms.grid import Grid
 from dualms.skeletons import Skeletons
 
@@ -35,16 +36,25 @@ class Lattice:
         (nx, ny, nz) voxels of the domain.
     skeleton
         Voxels of the hot and of the cold skeleton.
+    periodic
+        Whether the box continues across its faces; then it has no wall.
     """
 
     grid: Grid
     depth: Floats
     inside: Mask
     skeleton: tuple[Mask, Mask]
+    periodic: bool = False
 
     @classmethod
-    def of(cls, domain: Domain, skeletons: Skeletons, resolution: int) -> Lattice:
+    def of(cls, domain: Domain | Torus, skeletons: Skeletons, resolution: int) -> Lattice:
         """Voxels of edge 1/resolution."""
+        if isinstance(domain, Torus):
+            grid = domain.grid(resolution)
+            everywhere = np.ones(grid.shape, dtype=bool)
+            depth = np.full(grid.shape, np.float32(_DEPTH_VOXELS * grid.spacing))
+            nets = [topology.voxels_of(np.mod(points, 1), grid, everywhere) for points in (skeletons.hot, skeletons.cold)]
+            return cls(grid, depth, everywhere, (nets[0], nets[1]), periodic=True)
         grid = domain.grid(resolution, padding=4)
         depth = domain.depth(grid, _DEPTH_VOXELS * grid.spacing)
         inside = domain.inside(grid)
@@ -64,7 +74,9 @@ class Lattice:
         EmptySurface
             If a fluid has no voxel.
         """
-        hot, _ = topology.without_pockets(values > 0, self.inside, self.skeleton)
+        hot = np.asarray(values > 0)
+        if not self.periodic:
+            hot, _ = topology.without_pockets(hot, self.inside, self.skeleton)
         for name, some in (("hot", hot), ("cold", ~hot)):
             if not (some & self.inside).any():
                 raise EmptySurface(
@@ -80,12 +92,13 @@ class Lattice:
         away = []
         for samples in (skeletons.hot, skeletons.cold):
             distance = np.full(self.grid.shape, np.float32(1))
-            distance[near] = cKDTree(samples).query(points, workers=-1)[0]
+            tree = cKDTree(np.mod(samples, 1), boxsize=1) if self.periodic else cKDTree(samples)
+            distance[near] = tree.query(points, workers=-1)[0]
             away.append(distance)
         return away[0], away[1]
 
 
-def typical_gap(domain: Domain, skeletons: Skeletons) -> float:
+def typical_gap(domain: Domain | Torus, skeletons: Skeletons) -> float:
     """Median over the domain of the way between the skeletons through a point: about the spacing of the sites."""
     lattice = Lattice.of(domain, skeletons, _GAP_RESOLUTION)
     to_hot, to_cold = lattice.distances(skeletons)

@@ -1,8 +1,7 @@
-"""The second phase: from the diffused surface towards H = 0, coarse to fine, with the topology kept.
+"""The second and third phase: from the diffused surface towards H = 0, with the topology kept.
 
-On each grid the diffuse Willmore energy is lowered on the voxels of the domain, with no flux through their outer faces.
-Measured (authors' U-shape, 300 sites, 108 voxels, 200 iterations): an energy taken one voxel beyond the wall, which
-leaves the contact free, ends at a median |H| of 1.6 where this one ends at 1.26, and runs into the topology's guard.
+First the diffuse Willmore energy is lowered on the voxels of the domain, with no flux through their outer faces; then
+Newton's method (:mod:`dualms.field.newton`) takes the surface on with a free contact at the wall.
 """
 
 from __future__ import annotations
@@ -13,42 +12,41 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.domain import Domain
 from dualms.errors import FieldDiverged
 from dualms.field import topology
 from dualms.field.descent import descend
 from dualms.field.interface import continued, distance_of, profile
 from dualms.field.lattice import Floats, Lattice, colour
+from dualms.field.newton import BEYOND_VOXELS, Slab, straighten
 from dualms.field.samples import GridSamples
+from dualms.field.torus import Torus
 from dualms.field.willmore import Willmore
+from dualms.grid import Grid
 
 INTERFACE_VOXELS = 1.2
-COARSEST_OVER_GAP = 0.135
+COARSEST_OVER_GAP = 0.115
 """Coarsest voxel over the gap: above, the interfaces of neighbouring channels feel each other."""
-REFINEMENT = 4 / 3
-LEAST_RESOLUTION = 32
+VERTICES = 40_000
+"""Vertices of the surface's mesh up to which a finer grid is used; beyond, only where the gap asks for it."""
 FINEST = 512
-COARSEST_ITERATIONS = 300
+DESCENT_ITERATIONS = 300
+NEWTON_STEPS = 10
+_TOLERANCE = 0.02
 _PIN = np.float32(0.005)
 
+Listener = Callable[[int, int, float, int], None]
 
-def levels(resolution: int, gap: float) -> list[int]:
-    """Resolutions, coarse to fine: from the coarsest that resolves the gap to ``resolution``, or to it alone."""
+
+def level(resolution: int, gap: float, volume: float) -> int:
+    """The grid's resolution: what is asked for, as far as it resolves the gap and the mesh stays small."""
+    affordable = math.sqrt(VERTICES * gap / (2 * volume))
     coarsest = 1 / (COARSEST_OVER_GAP * gap)
-    found = [max(resolution, min(math.ceil(coarsest), FINEST))]
-    while found[0] / REFINEMENT >= max(LEAST_RESOLUTION, coarsest):
-        found.insert(0, round(found[0] / REFINEMENT))
-    return found
+    return math.ceil(min(FINEST, max(coarsest, min(resolution, affordable))))
 
 
-def iterations(count: int, share: float) -> list[int]:
-    """Iterations on each of ``count`` levels: half as many on each finer one."""
-    return [round(share * COARSEST_ITERATIONS / 2**k) for k in range(count)]
-
-
-def minimise(
-    lattice: Lattice, samples: GridSamples, steps: int, each: Callable[[int, int, float, int], None]
-) -> GridSamples:
-    """Lower the Willmore energy on one grid.
+def lower_energy(lattice: Lattice, samples: GridSamples, steps: int, each: Listener) -> GridSamples:
+    """Lower the diffuse Willmore energy on one grid.
 
     Parameters
     ----------
@@ -93,3 +91,39 @@ def minimise(
 
     u, _ = descend(Willmore(mask, eps, grid.spacing), u, steps, project, look)
     return continued(distance_of(u, eps), mask, grid)
+
+
+def straightened(
+    domain: Domain | Torus, lattice: Lattice, samples: GridSamples, gap: float, steps: int, each: Listener
+) -> GridSamples:
+    """Take a surface on to H = 0 by Newton's method.
+
+    Parameters
+    ----------
+    domain, lattice
+        The problem, and the grid to work on.
+    samples
+        A distance-like field to start from, on any grid.
+    gap
+        Typical distance between the skeletons, unit-cube units.
+    steps
+        At most so many.
+    each
+        Called with step, their number, ∫(2H)², and number of voxels that had to keep their colour.
+    """
+    spacing = lattice.grid.spacing
+    if isinstance(domain, Torus):
+        grid, inside = lattice.grid, lattice.inside
+        depth = np.full(grid.shape, np.float32(2 * BEYOND_VOXELS))
+    else:
+        width = BEYOND_VOXELS + 1
+        nx, ny, nz = lattice.grid.shape
+        grid = Grid(lattice.grid.origin - width * spacing, spacing, (nx + 2 * width, ny + 2 * width, nz + 2 * width))
+        inside = np.pad(lattice.inside, width)
+        depth = domain.depth(grid, (BEYOND_VOXELS + 2) * spacing) / np.float32(spacing)
+    slab = Slab(inside, depth, gap / spacing, lattice.periodic)
+    start = samples.on(grid) / np.float32(spacing)
+    values = straighten(
+        start, slab, steps, _TOLERANCE, lambda step, energy, kept: each(step, steps, energy, kept)
+    )
+    return continued(values * np.float32(spacing), depth > -BEYOND_VOXELS, grid, lattice.periodic)

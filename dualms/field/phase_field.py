@@ -16,7 +16,9 @@ from dualms.field import minimal
 from dualms.field.diffusion import INTERFACE_OVER_GAP, INTERFACE_VOXELS, diffuse
 from dualms.field.field import Field, History
 from dualms.field.interface import continued, distance_of
-from dualms.field.lattice import Lattice, typical_gap
+from dualms.field.lattice import Lattice, colour, typical_gap
+from dualms.field.samples import GridSamples
+from dualms.field.torus import Torus
 from dualms.progress import Progress
 from dualms.skeletons import Skeletons
 
@@ -24,18 +26,19 @@ DIFFUSED = 0.5
 """The minimality at which the diffusion is complete."""
 LEAST_VOXELS_A_GAP = 6
 """Below, channels break at the grid: a coarser resolution is raised."""
+_PHASES = ("diffusion, step", "descent to H = 0, iteration", "Newton's method for H = 0, step")
 _COLUMNS = ("iteration", "resolution", "phase", "energy", "kept_voxels")
 
 
 def solve_phase_field(
-    domain: Domain, skeletons: Skeletons, resolution: int, minimality: float, progress: Progress
+    domain: Domain | Torus, skeletons: Skeletons, resolution: int, minimality: float, progress: Progress
 ) -> Field:
     """Separate two skeletons.
 
     Parameters
     ----------
     domain
-        Unit-cube frame.
+        Unit-cube frame, or the unit cube with opposite faces joined.
     skeletons
         Samples ``hot`` and ``cold``.
     resolution
@@ -49,8 +52,9 @@ def solve_phase_field(
     -------
     Field
         Close to a signed distance near its zero set; on a margin of 0.07 round the domain. Its history has a row an
-        iteration: ``resolution`` of the grid, ``phase`` (0 diffusion, 1 descent to H = 0), ``energy`` (phase 0: area;
-        phase 1: diffuse Willmore energy), ``kept_voxels`` that would have changed the topology.
+        iteration: ``resolution`` of the grid, ``phase`` (0 diffusion, 1 descent to H = 0, 2 Newton's method),
+        ``energy`` (phase 0: area; 1: diffuse Willmore energy; 2: ∫(2H)² over the surface), ``kept_voxels`` that would
+        have changed the topology.
 
     Raises
     ------
@@ -61,27 +65,42 @@ def solve_phase_field(
 
     Notes
     -----
-    Nothing is random. At 128³: about 30 passes over the grid a diffusion step, 60 an iteration of the descent.
+    Nothing is random. On two cores and the authors' U-shape with 300 sites: 4 s of CPU time for the diffusion, 15 s for
+    the descent and 2 s a step of Newton's method.
     """
     gap = typical_gap(domain, skeletons)
     share = max(0.0, 2 * minimality - 1)
-    resolutions = minimal.levels(resolution, gap) if share > 0 else []
     # Finer than its interface the diffusion gains nothing, and splines refine its result as well.
     enough = math.ceil(INTERFACE_VOXELS / (INTERFACE_OVER_GAP * gap))
     least = min(math.ceil(LEAST_VOXELS_A_GAP / gap), minimal.FINEST)
-    first = resolutions[0] if resolutions else min(max(resolution, least), enough)
-    counts = minimal.iterations(len(resolutions), share)
-    log = _Log(progress, [30 * 12 * first**3, *(60 * n * r**3 for n, r in zip(counts, resolutions, strict=True))])
-    lattice = Lattice.of(domain, skeletons, first)
+    level = minimal.level(resolution, gap, domain.volume) if share > 0 else min(max(resolution, least), enough)
+    lattice = Lattice.of(domain, skeletons, level)
+    # The descent's stencils end at a wall; on a torus the diffused surface is near enough for Newton's method.
+    descent = 0 if lattice.periodic else round(share * minimal.DESCENT_ITERATIONS)
+    newton = math.ceil(share * minimal.NEWTON_STEPS)
+    log = _Log(progress, [360, 60 * descent, 3000 * newton])
     u, _, eps = diffuse(
-        lattice, lattice.distances(skeletons), gap, min(1.0, minimality / DIFFUSED), log.phase(0, first)
+        lattice, lattice.distances(skeletons), gap, min(1.0, minimality / DIFFUSED), log.phase(0, level)
     )
-    samples = continued(distance_of(u, eps), lattice.inside, lattice.grid)
-    for level, count in zip(resolutions, counts, strict=True):
-        lattice = lattice if level == first else Lattice.of(domain, skeletons, level)
-        samples = minimal.minimise(lattice, samples, count, log.phase(1, level))
+    samples = continued(distance_of(u, eps), lattice.inside, lattice.grid, lattice.periodic)
+    if descent:
+        samples = minimal.lower_energy(lattice, samples, descent, log.phase(1, level))
+    if newton:
+        samples = minimal.straightened(domain, lattice, samples, gap, newton, log.phase(2, level))
+    if resolution > level and not lattice.periodic:
+        samples = _without_pockets(Lattice.of(domain, skeletons, resolution), samples)
     progress.report("field", 1.0)
     return Field(samples, "phase-field", History(_COLUMNS, np.array(log.rows)), "cpu")
+
+
+def _without_pockets(lattice: Lattice, samples: GridSamples) -> GridSamples:
+    """The field on a finer grid if pockets show there, which are given to the fluid around them."""
+    values = samples.on(lattice.grid)
+    hot = lattice.colouring(values)
+    if np.array_equal(hot[lattice.inside], values[lattice.inside] > 0):
+        return samples
+    colour(values, hot | ~lattice.inside & (values > 0))
+    return continued(values, lattice.inside, lattice.grid)
 
 
 class _Log:
@@ -97,7 +116,7 @@ class _Log:
         """The next phase's listener: step, number of steps, energy, number of voxels kept."""
         self._begun += 1
         before, own, total = sum(self._work[: self._begun]), self._work[self._begun], 1.05 * sum(self._work)
-        name = "descent to H = 0, iteration" if phase else "diffusion, step"
+        name = _PHASES[phase]
 
         def listen(step: int, steps: int, energy: float, kept: int) -> None:
             self.rows.append([float(len(self.rows)), float(resolution), float(phase), energy, float(kept)])

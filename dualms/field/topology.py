@@ -68,12 +68,16 @@ def _pieces(member: NDArray[np.bool_], start: NDArray[np.bool_], touch: NDArray[
 
 
 @njit(cache=True)
-def _is_simple(hot, inside, i, j, k, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
+def _is_simple(hot, inside, periodic, i, j, k, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
     of_hot = np.zeros(27, dtype=np.bool_)
     of_cold = np.zeros(27, dtype=np.bool_)
     for c in range(27):
         a, b, d = i + cells[c, 0], j + cells[c, 1], k + cells[c, 2]
-        if not is_any[c] or a < 0 or b < 0 or d < 0:
+        if not is_any[c]:
+            continue
+        if periodic:
+            a, b, d = a % hot.shape[0], b % hot.shape[1], d % hot.shape[2]
+        if a < 0 or b < 0 or d < 0:
             continue
         if a >= hot.shape[0] or b >= hot.shape[1] or d >= hot.shape[2] or not inside[a, b, d]:
             continue
@@ -90,7 +94,7 @@ def _is_simple(hot, inside, i, j, k, cells, touch6, touch26, is_face, is_any):  
 
 
 @njit(cache=True)
-def _flip_simple(hot, inside, order, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
+def _flip_simple(hot, inside, periodic, order, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
     """Change the colour of the listed voxels where that is simple, in rounds until none is left to change."""
     pending = np.ones(len(order), dtype=np.bool_)
     changed = True
@@ -100,14 +104,16 @@ def _flip_simple(hot, inside, order, cells, touch6, touch26, is_face, is_any):  
             if not pending[n]:
                 continue
             i, j, k = order[n, 0], order[n, 1], order[n, 2]
-            if _is_simple(hot, inside, i, j, k, cells, touch6, touch26, is_face, is_any):
+            if _is_simple(hot, inside, periodic, i, j, k, cells, touch6, touch26, is_face, is_any):
                 hot[i, j, k] = not hot[i, j, k]
                 pending[n] = False
                 changed = True
     return pending
 
 
-def follow(hot: Mask, values: NDArray[np.float32], inside: Mask) -> NDArray[np.int64]:
+def follow(
+    hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool = False
+) -> NDArray[np.int64]:
     """Bring a colouring towards the sign of ``values`` without changing its topology.
 
     Parameters
@@ -118,6 +124,8 @@ def follow(hot: Mask, values: NDArray[np.float32], inside: Mask) -> NDArray[np.i
         (nx, ny, nz) field whose sign is wanted.
     inside
         (nx, ny, nz) the domain.
+    periodic
+        Whether the box continues across its faces.
 
     Returns
     -------
@@ -130,7 +138,7 @@ def follow(hot: Mask, values: NDArray[np.float32], inside: Mask) -> NDArray[np.i
         return order
     # The surest first: it has moved farthest past the interface.
     order = order[np.argsort(-np.abs(values[tuple(order.T)]), kind="stable")]
-    kept = _flip_simple(hot, inside, order, _CELLS, _TOUCH6, _TOUCH26, _IS_FACE, _IS_ANY)
+    kept = _flip_simple(hot, inside, periodic, order, _CELLS, _TOUCH6, _TOUCH26, _IS_FACE, _IS_ANY)
     return np.asarray(order[kept], dtype=np.int64)
 
 
