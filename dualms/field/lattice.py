@@ -53,7 +53,9 @@ class Lattice:
             grid = domain.grid(resolution)
             everywhere = np.ones(grid.shape, dtype=bool)
             depth = np.full(grid.shape, np.float32(_DEPTH_VOXELS * grid.spacing))
-            nets = [topology.voxels_of(np.mod(points, 1), grid, everywhere) for points in (skeletons.hot, skeletons.cold)]
+            nets = [
+                topology.voxels_of(np.mod(points, 1), grid, everywhere) for points in (skeletons.hot, skeletons.cold)
+            ]
             return cls(grid, depth, everywhere, (nets[0], nets[1]), periodic=True)
         grid = domain.grid(resolution, padding=4)
         depth = domain.depth(grid, _DEPTH_VOXELS * grid.spacing)

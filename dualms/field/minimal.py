@@ -123,7 +123,5 @@ def straightened(
         depth = domain.depth(grid, (BEYOND_VOXELS + 2) * spacing) / np.float32(spacing)
     slab = Slab(inside, depth, gap / spacing, lattice.periodic)
     start = samples.on(grid) / np.float32(spacing)
-    values = straighten(
-        start, slab, steps, _TOLERANCE, lambda step, energy, kept: each(step, steps, energy, kept)
-    )
+    values = straighten(start, slab, steps, _TOLERANCE, lambda step, energy, kept: each(step, steps, energy, kept))
     return continued(values * np.float32(spacing), depth > -BEYOND_VOXELS, grid, lattice.periodic)

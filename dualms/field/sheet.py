@@ -45,15 +45,15 @@ class Jet:
         """Central differences, second order; the grid's outermost voxels look across to the opposite side."""
         ahead = [np.roll(values, -1, axis) for axis in range(3)]
         behind = [np.roll(values, 1, axis) for axis in range(3)]
-        first = [(a - b) / 2 for a, b in zip(ahead, behind, strict=True)]
-        second: dict[tuple[int, int], Floats] = {}
+        first = [(a - b) / np.float32(2) for a, b in zip(ahead, behind, strict=True)]
+        second: dict[tuple[int, int], Any] = {}
         for i in range(3):
             second[i, i] = ahead[i] + behind[i] - 2 * values
             for j in range(i):
-                mixed = (np.roll(first[i], -1, j) - np.roll(first[i], 1, j)) / 2
+                mixed = (np.roll(first[i], -1, j) - np.roll(first[i], 1, j)) / np.float32(2)
                 second[i, j] = second[j, i] = mixed
         slope = np.maximum(np.sqrt(sum(d * d for d in first)), np.float32(_LEAST_SLOPE))
-        x, y, z = (d / slope for d in first)
+        x, y, z = (np.asarray(d / slope, dtype=np.float32) for d in first)
         normal = (x, y, z)
         along = [sum((second[i, j] * normal[j] for j in range(3)), np.float32(0)) for i in range(3)]
         twice = sum((normal[i] * along[i] for i in range(3)), np.float32(0))

@@ -111,9 +111,7 @@ def _flip_simple(hot, inside, periodic, order, cells, touch6, touch26, is_face, 
     return pending
 
 
-def follow(
-    hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool = False
-) -> NDArray[np.int64]:
+def follow(hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool = False) -> NDArray[np.int64]:
     """Bring a colouring towards the sign of ``values`` without changing its topology.
 
     Parameters

@@ -7,8 +7,10 @@ from skimage.measure import marching_cubes, mesh_surface_area
 from dualms.domain import Domain
 from dualms.errors import EmptySurface
 from dualms.field import topology
-from dualms.field.minimal import levels
+from dualms.field.minimal import level
 from dualms.field.phase_field import solve_phase_field
+from dualms.field.torus import Torus
+from dualms.grid import Grid
 from dualms.measure.curvature import away_from_boundary, mean_curvature
 from dualms.progress import Silent
 
@@ -86,8 +88,8 @@ def test_a_fluid_without_room_is_refused(unit_box: Domain) -> None:
 def test_minimal_end_brings_a_bent_surface_to_no_curvature(unit_box: Domain, schwarz_p: SimpleNamespace) -> None:
     figures = []
     for minimality in (0.0, 0.5, 0.75):
-        field = solve_phase_field(unit_box, schwarz_p, 32, minimality, Silent())
-        grid = unit_box.grid(64, padding=0)
+        field = solve_phase_field(unit_box, schwarz_p, 24, minimality, Silent())
+        grid = unit_box.grid(48, padding=0)
         vertices, faces, _, _ = marching_cubes(field.on(grid), 0.0)
         faces = faces.astype(np.int64)
         h = mean_curvature(vertices * grid.spacing, faces)
@@ -95,11 +97,32 @@ def test_minimal_end_brings_a_bent_surface_to_no_curvature(unit_box: Domain, sch
     equidistant, diffused, minimal = figures
     assert diffused < 0.5 * equidistant
     assert minimal < 0.6 * diffused
-    assert set(field.history.column("phase")) == {0, 1}
+    assert set(field.history.column("phase")) == {0, 1, 2}
 
 
-def test_levels_end_at_the_resolution_and_resolve_the_gap() -> None:
-    assert levels(128, 0.081) == [96, 128]
-    assert levels(256, 0.081) == [108, 144, 192, 256]
-    assert levels(64, 0.081) == [92], "too coarse for the gap: raised"
-    assert levels(48, 0.7) == [36, 48]
+def test_the_minimal_ends_grid_resolves_the_gap_and_is_no_finer_than_it_pays() -> None:
+    assert level(64, 0.0828, 0.168) == 106, "too coarse for the gap: raised"
+    assert level(256, 0.0828, 0.168) == 106, "a finer mesh would be too large"
+    assert level(48, 0.43, 1.0) == 48
+    assert level(256, 0.43, 1.0) == 93
+
+
+@pytest.mark.parametrize(
+    ("cell", "exact"), [("P", 2.3451028840), ("D", 3.8377847135)], ids=["two cubic nets", "two diamond nets"]
+)
+def test_periodic_nets_are_separated_by_their_minimal_surface(cell: str, exact: float) -> None:
+    side = np.linspace(0, 1, 129)[:-1, None]
+    if cell == "P":
+        hot = np.concatenate([side * axis for axis in np.eye(3)])
+    else:
+        nodes = np.array([(0, 0, 0), (0, 2, 2), (2, 0, 2), (2, 2, 0)]) / 4
+        bonds = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) / 4
+        hot = np.concatenate([node + side * bond for node in nodes for bond in bonds])
+    nets = SimpleNamespace(hot=np.mod(hot, 1), cold=np.mod(hot + 0.5, 1))
+    field = solve_phase_field(Torus(), nets, 40, 1.0, Silent())
+    grid = Grid(np.zeros(3), 1 / 96, (97,) * 3)
+    values = field.on(grid)
+    assert area(values, grid.spacing) == pytest.approx(exact, rel=2e-3)
+    for axis in range(3):
+        low, high = np.take(values, 0, axis), np.take(values, -1, axis)
+        np.testing.assert_allclose(low, high, atol=2e-5)
