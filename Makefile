@@ -62,6 +62,12 @@ bench-cut: install
 bench-field: install
 	$(BIN)/python benchmarks/field.py
 
+# One mode of the field's benchmarks: make bench-field-minimal DOMAIN=examples/u_bend.stl SPEC=examples/u_bend.json
+DOMAIN ?= examples/u_bend.stl
+SPEC ?= examples/u_bend.json
+bench-field-%: install
+	$(BIN)/python benchmarks/field.py $* $(DOMAIN) $(SPEC)
+
 bench-load: install
 	$(BIN)/python -m benchmarks.load --out benchmarks/results/load.json
 

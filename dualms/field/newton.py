@@ -32,6 +32,8 @@ _MOST_DAMPING = 30.0
 """μ is the first times the squared residual, at most the second."""
 _LONGEST = 0.06
 """Longest motion in a step over the gap between the skeletons."""
+_OUTLIER = 10.0
+"""Over the median |2H|: what is cancelled at once; the start is kinked where it was continued beyond the wall."""
 _STIFF = 1000.0
 _MOST_RISE = 1.1
 """Of the energy in a step that lowers the mean |H|: the tail must not pay for the middle."""
@@ -143,7 +145,8 @@ def _motion(state: _State, slab: Slab, caution: float, held: Array) -> Array:
     sheet = state.sheet
     # In units of the gap, so that the damping means the same on every grid.
     mass = sheet.mass / slab.gap**2
-    bend = np.clip(sheet.bend * slab.gap, -20, 20)
+    most = _OUTLIER * state.typical
+    bend = np.clip(sheet.bend * slab.gap, -most, most)
     square = np.minimum(sheet.square * slab.gap**2, 200.0)
     depth = sample(slab.depth, sheet.points, slab.periodic)
     weight = mass * np.clip((depth + BEYOND_VOXELS - 1) / 2, _BEYOND_WEIGHT, 1)
