@@ -87,7 +87,7 @@ def solve_phase_field(
         samples = minimal.lower_energy(lattice, samples, descent, log.phase(1, level))
     if newton:
         samples = minimal.straightened(domain, lattice, samples, gap, newton, log.phase(2, level))
-    if resolution > level and not lattice.periodic:
+    if newton and resolution > level and not lattice.periodic:
         samples = _without_pockets(Lattice.of(domain, skeletons, resolution), samples)
     progress.report("field", 1.0)
     return Field(samples, "phase-field", History(_COLUMNS, np.array(log.rows)), "cpu")
