@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dualms.body.headers import LIFT_VOXELS, Header, refuse_collisions
+from dualms.body.header import LIFT_VOXELS, Header
+from dualms.body.headers import refuse_collisions
 from dualms.body.openings import core
 from dualms.body.patches import INTERFACE, patch_names, patch_of_faces
 from dualms.body.thickness import Wall, thickness_at

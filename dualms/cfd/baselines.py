@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dualms.body.headers import Header
+from dualms.body.header import Header
 from dualms.cfd.channels import VoxelExchanger, solid_share, voxelise
 from dualms.domain import Domain
 from dualms.grid import Grid

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from dualms.body.headers import Header, at_pipe_ends
+from dualms.body.header import Header
+from dualms.body.headers import at_pipe_ends
 from dualms.body.thickness import GradedWall, Wall, mean_thickness, thickness_at
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked

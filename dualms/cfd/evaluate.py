@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dualms.body.headers import Header, bounds
+from dualms.body.header import Header
+from dualms.body.headers import bounds
 from dualms.body.thickness import Wall, greatest, mean_thickness
 from dualms.cfd.baselines import PowerLaw, cell_of_solid_fraction, exact_distance, tpms_exchanger
 from dualms.cfd.channels import COLD, HOT, VoxelExchanger, voxelise

@@ -5,12 +5,15 @@ from __future__ import annotations
 import igl
 import numpy as np
 import pytest
+import trimesh
 from pydantic import ValidationError
 
 from dualms.body.body import Body, make_body
 from dualms.body.headers import headers_of
 from dualms.domain import Domain
 from dualms.errors import InvalidSpec
+from dualms.measure.separation import separation
+from dualms.mesh import DomainMesh
 from dualms.spec import FluidsSpec, ShellSpec, Unit
 from dualms.surface import extract_surface
 from tests.dualms.shapes import box_mesh, domain_of, end_ports, halves, shared_ends, small_spec, with_headers
@@ -139,3 +142,55 @@ def test_a_shared_opening_with_a_header_is_refused_at_once() -> None:
 def test_a_header_without_a_shell_is_refused_at_once() -> None:
     with pytest.raises(ValidationError, match="needs a shell"):
         small_spec(with_headers(end_ports(), PLAIN), shell=None)
+
+
+def test_a_whole_facet_tapers_to_a_round_pipe_and_shuts_the_other_fluid_out() -> None:
+    mesh = box_mesh()
+    end = next(k for k, facet in enumerate(mesh.facets) if facet.normal[0] < -0.9)
+    document = end_ports().model_dump()
+    document["hot"]["inlets"] = [{"facet": end, "header": {"radius": 10, "length": 50, "wall": 1.5}}]
+    document["cold"]["outlets"] = [{"center": (20, 60, 20), "radius": 8}]
+    _, body = built(FluidsSpec.model_validate(document))
+    inlet = body.hot.mesh.part(body.hot.patch == 2)
+    assert inlet.area == pytest.approx(np.pi * 0.010**2, rel=1e-3)
+    assert np.ptp(inlet.vertices[:, 0]) < 1e-12
+    # The plenum lies over the cold channel too, a shell's thickness away from it.
+    assert body.leak_m3 == 0
+    assert body.cold.mesh.vertices[:, 0].min() == pytest.approx(SHELL_MM * 1e-3, rel=0.02)
+    assert body.solid.is_closed
+    found = separation(body, 0.001)
+    assert (found.hot_to_cold, found.to_outside, found.ports_apart) == (0, 0, 0)
+
+
+def test_pipes_stand_on_a_curved_envelope(side: str) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
+    mesh = DomainMesh(np.asarray(ball.vertices), ball.faces.astype(np.int64), Unit.MM)
+    at = 30 / np.sqrt(2)
+    header = {"radius": 5, "length": 25, "wall": 1.5}
+
+    def port(x: float, y: float) -> dict[str, object]:
+        return {"center": (x * at, y * at, 0), "radius": 7, "header": header}
+
+    fluids = FluidsSpec.model_validate(
+        {
+            "hot": {"inlets": [port(1, -1)], "outlets": [port(-1, -1)]},
+            "cold": {"inlets": [port(1, 1)], "outlets": [port(-1, 1)]},
+        }
+    )
+    domain = domain_of(mesh, fluids)
+    shell = 1.8 / 60
+    grid = domain.grid(64, padding=7)
+    surface = extract_surface(domain, halves(grid, 0.5), grid, 0.06, shell)
+    headers = headers_of(domain, fluids, Unit.MM, ShellSpec(thickness=1.8))
+    body = make_body(domain, surface, WALL, shell, side == "outside", headers)
+    reach = 0.030 + 0.025 + (0.0018 if side == "outside" else 0.0)
+    for fluid in (body.hot, body.cold):
+        for k in (2, 3):
+            end = fluid.mesh.part(fluid.patch == k)
+            assert end.area == pytest.approx(np.pi * 0.005**2, rel=1e-3)
+            middle = np.average(end.centroids, axis=0, weights=end.areas)
+            assert np.linalg.norm(middle) == pytest.approx(reach, rel=0.01)
+    assert body.leak_m3 == 0
+    assert body.solid.is_closed
+    found = separation(body, 0.001)
+    assert (found.hot_to_cold, found.to_outside, found.ports_apart) == (0, 0, 0)
