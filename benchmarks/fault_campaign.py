@@ -35,6 +35,7 @@ from worker.settings import Settings
 WEIGHTS = {"api": 3.0, "worker": 0.3, "station": 0.7, "step": 2.0, "broker": 1.5, "all": 0.01}
 YOUNG = 0.1  # how often a part may be killed that was killed before and is not back yet
 MOST_BROKER = 0.4  # of all kills
+SO_FAR_S = 30.0
 SILENCE_S = 120.0  # after so long without news the stations write down where each of their threads is
 
 
@@ -125,6 +126,7 @@ class _Campaign:
 
     def _watch(self) -> None:
         news, since = 0, time.monotonic()
+        began = wrote = time.monotonic()
         while not self._stop.wait(1.0):
             designs = all_designs(self._records)
             for design in designs:
@@ -132,12 +134,21 @@ class _Campaign:
                     self.seen.finals.setdefault(design.id, design.version)
             if len(self.seen.sent) == self._plan.jobs and all(design.final for design in designs):
                 self._done.set()
+            if time.monotonic() - wrote > SO_FAR_S:
+                wrote = time.monotonic()
+                self._write_so_far(wrote - began)
             if (version := sum(design.version for design in designs)) != news:
                 news, since = version, time.monotonic()
             elif time.monotonic() - since > SILENCE_S:
                 since = time.monotonic()
                 for station in self._service.processes()["station"]:
                     station.send_signal(signal.SIGUSR1)
+
+    def _write_so_far(self, seconds: float) -> None:
+        """Keep what was seen until now beside the logs, for a campaign that is stopped."""
+        kills = {"seconds": round(seconds, 1), "kills": dict(self.seen.killed), "kills_total": self.seen.killed.total()}
+        found = figures(self._records, len(self.seen.sent), self.seen)
+        (self._plan.folder / "so_far.json").write_text(json.dumps({**kills, **found}, indent=1))
 
     def _strike(self) -> None:
         """Kill parts at random until the number is reached or nothing is left to run."""

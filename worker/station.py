@@ -36,12 +36,11 @@ from worker.rows import new_id
 from worker.scratch import sweep
 from worker.settings import Settings
 from worker.stores import open_store
-from worker.tasks import Station, register
+from worker.tasks import Station, register, take_all
 from worker.tracing import open_tracing
 from worker.webhooks import Deliverer
 
 HEARTBEAT_S = 5.0
-DEAF_S = 30.0
 WEBHOOK_S = 1.0
 log = logging.getLogger(__name__)
 
@@ -76,6 +75,7 @@ def main() -> None:
         store,
         wakeups,
         drain,
+        free=threading.Semaphore(concurrency),
         tracing=open_tracing(settings.tracing, "dualms-worker"),
     )
     register(app, station)
@@ -90,7 +90,8 @@ def main() -> None:
     ended = threading.Event()
     every(HEARTBEAT_S, registration.beat, ended, "heartbeat")
     every(settings.reap_s, reaper.run_once, ended, "reaper")
-    every(settings.reap_s, lambda: _start_again_if_deaf(station), ended, "ears")
+    # Unasked, too: messages get lost, and a consumer may lose its place when the broker goes away and comes back.
+    every(settings.reap_s, lambda: take_all(station), ended, "eyes", at_once=True)
     every(WEBHOOK_S, Deliverer(records.database, settings).run_once, ended, "webhooks")
     every(settings.collect_s, lambda: collect(records, store), ended, "collector")
     log.info("serving queue %s as worker %s", queue, registration.id)
@@ -106,6 +107,8 @@ def main() -> None:
     )
     worker.start()
     ended.set()
+    for _ in range(concurrency):  # what runs without a message's asking ends or is handed back, too
+        station.free.acquire(timeout=settings.drain_s + settings.grace_s + 5)
     registration.end()
     sys.exit(0)
 
@@ -156,30 +159,21 @@ class Registration:
                 session.delete(row)
 
 
-def every(seconds: float, call: Callable[[], object], ended: threading.Event, name: str) -> None:
+def every(
+    seconds: float, call: Callable[[], object], ended: threading.Event, name: str, *, at_once: bool = False
+) -> None:
     """Call something again and again in a thread of its own; what it raises is logged, and the next time comes."""
 
     def loop() -> None:
-        while not ended.wait(seconds):
+        pause = 0.0 if at_once else seconds
+        while not ended.wait(pause):
+            pause = seconds
             try:
                 call()
             except Exception:
                 log.exception("%s failed; it will be tried again", name)
 
     threading.Thread(target=loop, name=name, daemon=True).start()
-
-
-def _start_again_if_deaf(station: Station) -> None:
-    """End this process, to be started again, where messages wait, nothing runs, and none has come for a minute.
-
-    A consumer may lose its place after the broker was away; then only a new connection helps.
-    """
-    if station.drain.is_set() or station.pulse.runs or station.pulse.quiet_s < DEAF_S:
-        return
-    if station.wakeups.length(station.queue):
-        log.error("messages wait but none arrives; starting this process again")
-        os._exit(3)
-    station.pulse.touch()
 
 
 def _die_with(parent: int) -> None:

@@ -22,7 +22,6 @@ from worker.lease import Lease, StepRecord, files_from
 from worker.leases import Leases
 from worker.logs import current_job
 from worker.patience import AWAY, patiently
-from worker.pulse import Pulse
 from worker.queue import TASK, Wakeups
 from worker.room import short_of_room
 from worker.scratch import step_folder
@@ -44,7 +43,7 @@ class Station:
     store: ArtifactStore
     wakeups: Wakeups
     drain: threading.Event
-    pulse: Pulse = field(default_factory=Pulse)
+    free: threading.Semaphore = field(default_factory=threading.Semaphore)  # one for each step at once
     tracing: Tracing = field(default_factory=Tracing)
 
     @property
@@ -64,23 +63,33 @@ def register(app: Celery, station: Station) -> None:
 
     @app.task(name=TASK)
     def step(job_id: str, step: str) -> None:
-        # Once woken it goes on until nothing waits: while there is work, no broker is needed.
-        while take_one(station):
-            pass
+        take_all(station)
+
+
+def take_all(station: Station) -> None:
+    """Carry out what waits in the queue, step after step: while there is work, no message is needed."""
+    while take_one(station):
+        pass
 
 
 def take_one(station: Station) -> bool:
-    """Carry out the step that is first in the queue; False if none waits or the worker is to end."""
-    station.pulse.touch()
-    if station.drain.is_set():
+    """Carry out the step that is first in the queue; False if none waits, or the worker is busy or to end."""
+    if station.drain.is_set() or not station.free.acquire(blocking=False):
         return False
+    try:
+        return _take_first(station)
+    finally:
+        station.free.release()
+
+
+def _take_first(station: Station) -> bool:
     if (full := short_of_room(station.settings, station.store)) is not None:
         log.warning("steps wait: less than %d MiB are free in %s", station.settings.free_bytes >> 20, full)
-        return False  # the reaper repeats the message
+        return False
     lease = station.leases.claim(station.queue, station.worker_id)
     if lease is None:
         return False
-    with current_job(lease.id), station.pulse.busy(), _span(station, lease):
+    with current_job(lease.id), _span(station, lease):
         log.info("step %s, try %d", lease.step, lease.design.tries)
         try:
             following = _carry_out_or_record_why_not(station, lease)
