@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from dualms.spec import Spec
-from dualms.steps import Step, step_keys
+from dualms.steps import Step, step_keys, steps_of
 from worker.code import code_id
 from worker.views import ArtifactRecord, DesignRecord, DomainRecord
 
@@ -66,8 +66,11 @@ class Lease:
 
     @property
     def of_other_code(self) -> bool:
-        """Whether the earlier steps were carried out by other code, whose files this one may not understand."""
-        return bool(self.hints.get("code", code_id()) != code_id())
+        """Whether the earlier steps were carried out by other code, whose files this one may not understand.
+
+        The first version did not say which code it was.
+        """
+        return self.step != steps_of(self.spec)[0] and self.hints.get("code") != code_id()
 
     @property
     def key(self) -> str:
