@@ -105,11 +105,14 @@ def main() -> None:
         hostname=f"{queue}-{registration.id[-8:]}@{platform.node()}",
         quiet=True,
     )
-    worker.start()
-    ended.set()
-    for _ in range(concurrency):  # what runs without a message's asking ends or is handed back, too
-        station.free.acquire(timeout=settings.drain_s + settings.grace_s + 5)
-    registration.end()
+    try:
+        worker.start()
+    finally:  # it raises where it is stopped while it looks for the broker
+        drain.set()
+        ended.set()
+        for _ in range(concurrency):  # what runs without a message's asking ends or is handed back, too
+            station.free.acquire(timeout=settings.drain_s + settings.grace_s + 5)
+        registration.end()
     sys.exit(0)
 
 
