@@ -111,7 +111,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell))
     wall = wall_thickness(spec.wall, units, domain, surface)
     headers = headers_of(domain, spec.fluids, units, spec.shell)
-    body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers))
+    body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers, units.metres))
     report = watch.run(
         "report",
         lambda: make_report(

@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dualms.body.body import Body, Fluid, in_units
-from dualms.body.files import COLD, HOT, METAL, SIDE_COLOURS, write_3mf, write_glb, write_stl
+from dualms.body.files import COLD, HOT, METAL, SIDE_COLOURS, single_precision, write_3mf, write_glb, write_stl
 from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.graph.graph import Graph
@@ -39,7 +39,7 @@ def write_meshes(
     """Write surface, solid, fluids, patches, scene, and pictures (so many pixels across)."""
     scaled = in_units(body, units.metres)
     sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
-    write_stl(sheet, folder / "surface.stl")
+    write_stl(single_precision(sheet), folder / "surface.stl")
     write_stl(scaled.solid, folder / "solid.stl")
     write_3mf(scaled.solid, scaled.solid_side, units, folder / "solid.3mf")
     write_stl(scaled.hot.mesh, folder / "fluid_hot.stl")

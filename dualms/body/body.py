@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from dualms.body.header import LIFT_VOXELS, Header
 from dualms.body.headers import refuse_collisions
+from dualms.body.offset import at_distance
 from dualms.body.openings import core
 from dualms.body.patches import INTERFACE, patch_names, patch_of_faces
 from dualms.body.thickness import Wall, thickness_at
-from dualms.body.walls import at_distance, channels
+from dualms.body.walls import channels
+from dualms.body.written import as_written
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked, InvalidBody
-from dualms.surface import Surface, level_set, to_metres
+from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
 
 NEGLIGIBLE = 1e-3  # of the domain's volume: what may be filled in or dropped without being an error
@@ -108,6 +110,7 @@ def make_body(
     shell: float,
     outside: bool = False,
     headers: tuple[Header, ...] = (),
+    unit_m: float = 1.0,
 ) -> Body:
     """Cut the two sides of the wall out of the envelope.
 
@@ -123,6 +126,8 @@ def make_body(
         Whether the shell stands outside the envelope.
     headers
         Stub pipes on ports.
+    unit_m
+        Metres of the unit that files will be in: coordinates in it are exact in single precision.
 
     Raises
     ------
@@ -138,9 +143,10 @@ def make_body(
     made: dict[int, tuple[Solid, Fluid]] = {}
     side_of: dict[int, int] = {}
     block = outline.solid
-    for sign, side in zip((1, -1), channels(surface, wall), strict=True):
+    reach = (shell if outside else 0.0) + 2 * surface.grid.spacing
+    for sign, side in zip((1, -1), channels(surface, wall, reach), strict=True):
         room = _room(domain, surface, side, shell, sign, outside, outline)
-        part, pockets, fluid, origins = _fluid(domain, room, side.origin, outline, sign, shell)
+        part, pockets, fluid, origins = _fluid(domain, room, side.origin, outline, sign, shell, unit_m)
         side_of |= dict.fromkeys(origins, sign)
         made[sign] = part, fluid
         # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
@@ -160,9 +166,9 @@ def make_body(
             measured={"parts": len(parts), "loose_fraction": dropped / envelope.volume},
         )
     cubic = domain.scale_m**3
-    solid, origin = parts[0].faces_by_origin()
+    solid, origin = _written(domain, parts[0], unit_m)
     return Body(
-        solid=to_metres(domain, solid),
+        solid=solid,
         solid_side=np.array([side_of.get(o, 0) for o in range(origin.max() + 1)])[origin],
         hot=hot,
         cold=cold,
@@ -178,8 +184,9 @@ def _outline(domain: Domain, surface: Surface, envelope: Solid, skin: float, hea
     body = envelope
     if skin:
         grown = level_set(surface.depth + np.float32(skin), surface.grid)
-        distance = np.full(len(grown.vertices), skin)
-        body = Solid.of(at_distance(grown, envelope.mesh(), distance, surface.grid.spacing))
+        body = Solid.of(
+            at_distance(grown, envelope.mesh(), lambda points: np.full(len(points), skin), surface.grid.spacing)
+        )
     refuse_collisions(domain, headers, body, surface.grid, skin)
     pipes = {h.port: h.pipe(surface.grid, skin) for h in headers}
     bores = {h.port: h.bore(surface.grid, skin) for h in headers}
@@ -221,7 +228,7 @@ def _mean_wall(domain: Domain, wall: Wall, fluid: Fluid) -> float:
 
 
 def _fluid(
-    domain: Domain, room: Solid, interface: int, outline: _Outline, sign: int, shell: float
+    domain: Domain, room: Solid, interface: int, outline: _Outline, sign: int, shell: float, unit_m: float
 ) -> tuple[Solid, list[Solid], Fluid, list[int]]:
     """The part of a fluid that joins its ports, the pockets to fill in, the part's mesh, and what cut it."""
     name = "hot" if sign == 1 else "cold"
@@ -231,13 +238,12 @@ def _fluid(
     outer = {outline.skin, *pipes}
     cut = room & outline.solid
     parts = cut.bodies()
-    best: tuple[int, Solid, TriangleMesh, NDArray[np.int64], list[int]] | None = None
+    best: tuple[int, Solid] | None = None
     for part in parts[:8]:  # by falling volume
-        mesh, origin = part.faces_by_origin()
-        patch = patch_of_faces(mesh, origin, interface, outline.skin, pipes, ports, shell)
+        patch = patch_of_faces(*part.faces_by_origin(), interface, outline.skin, pipes, ports, shell)
         reached = len(np.unique(patch[patch >= 2]))
         if best is None or reached > best[0]:
-            best = (reached, part, mesh, patch, sorted(set(np.unique(origin).tolist()) - outer))
+            best = (reached, part)
         if reached == len(ports):
             break
     if best is None or best[0] < len(ports):
@@ -248,16 +254,25 @@ def _fluid(
             advice="Make the wall or shell thinner, the ports larger, or use fewer sites.",
             measured={"fluid": name, "parts": len(parts), "ports_reached": reached, "ports": total},
         )
-    _, part, mesh, patch, origins = best
+    part = best[1]
+    mesh, origin = _written(domain, part, unit_m)
+    in_unit_cube = mesh.moved(1 / domain.scale_m, -domain.offset_m / domain.scale_m)
     filled = cut.volume - part.volume
     fluid = Fluid(
-        mesh=to_metres(domain, mesh),
-        patch=patch,
+        mesh=mesh,
+        patch=patch_of_faces(in_unit_cube, origin, interface, outline.skin, pipes, ports, shell),
         patches=patch_names(ports),
         components=len(part.bodies()),
         filled_m3=filled * domain.scale_m**3,
     )
+    origins = sorted(set(np.unique(origin).tolist()) - outer)
     return part, [pocket for pocket in parts if pocket is not part], fluid, origins
+
+
+def _written(domain: Domain, solid: Solid, unit_m: float) -> tuple[TriangleMesh, NDArray[np.int64]]:
+    """A boundary in metres, exact in single precision in the files' unit, and the origins of its faces."""
+    mesh, origin = as_written(solid, domain.scale_m / unit_m, domain.offset_m / unit_m)
+    return mesh.moved(unit_m, np.zeros(3)), origin
 
 
 def filled_fraction(fluid: Fluid) -> float:

@@ -32,15 +32,14 @@ _3MF_UNITS = {
 
 def write_stl(mesh: TriangleMesh, path: Path) -> None:
     """Write a binary STL; coordinates are rounded to single precision, the format's own."""
-    path.write_bytes(trimesh.exchange.stl.export_stl(_trimesh(single_precision(mesh))))
+    path.write_bytes(trimesh.exchange.stl.export_stl(_trimesh(mesh)))
 
 
 def single_precision(mesh: TriangleMesh) -> TriangleMesh:
-    """The mesh with vertices that single precision can hold and tell apart.
+    """An open mesh with vertices that single precision can hold and tell apart.
 
-    Readers of STL join vertices by position. Booleans leave some that only double precision tells apart: joined, they
-    would pinch a closed mesh into edges of four triangles. So vertices go to a lattice of two steps of single precision
-    (at the farthest coordinate), and those that meet there are moved to free places beside it.
+    Closed meshes come so from :func:`dualms.body.written.as_written`. Here vertices go to a lattice of two
+    steps of single precision (at the farthest coordinate), and those that meet there are moved to free places.
     """
     step = 2.0 * float(np.spacing(np.float32(np.abs(mesh.vertices).max(initial=1e-30))))
     places = np.rint(mesh.vertices / step).astype(np.int64)
@@ -60,7 +59,6 @@ def write_3mf(mesh: TriangleMesh, side: NDArray[np.int64], units: Unit, path: Pa
     -----
     Time stamps and identifiers are constants, so the same mesh gives the same bytes.
     """
-    mesh = single_precision(mesh)
     model = lib3mf.get_wrapper().CreateModel()
     model.SetUnit(_3MF_UNITS[units])
     item = model.AddMeshObject()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from dualms.body.offset import offset_surface
 from dualms.body.thickness import GradedWall, Wall, thickness_at
 from dualms.booleans import Solid
 from dualms.domain import Domain
@@ -17,6 +17,8 @@ from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
+
+SAG = 0.025  # of half the thickness: how far the middle of an edge may lie off
 
 
 def widest_wall(spec: WallSpec, units: Unit, domain: Domain) -> float | None:
@@ -68,7 +70,7 @@ def wall_thickness(spec: WallSpec, units: Unit, domain: Domain, surface: Surface
         )
     half: float = brentq(lambda h: wall_share(surface, h) - spec.volume_fraction, 0.0, surface.band, xtol=1e-6)
     envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
-    left = sum((side & envelope).volume for side in channels(surface, 2 * half))
+    left = sum((side & envelope).volume for side in channels(surface, 2 * half, 0.0))
     return 2 * half * spec.volume_fraction / (1 - left / envelope.volume)
 
 
@@ -92,7 +94,7 @@ def wall_share(surface: Surface, half: float | Values) -> float:
     return float((inside * walled).sum() / inside.sum())
 
 
-def channels(surface: Surface, wall: Wall) -> tuple[Solid, Solid]:
+def channels(surface: Surface, wall: Wall, reach: float) -> tuple[Solid, Solid]:
     """The two sides of the wall, not yet cut to the domain: hot and cold.
 
     Parameters
@@ -101,6 +103,8 @@ def channels(surface: Surface, wall: Wall) -> tuple[Solid, Solid]:
         Distance to the separating surface, exact beyond half the greatest thickness by two voxels.
     wall
         Thickness, unit-cube units.
+    reach
+        How far outside the envelope the sides are wanted exact.
     """
     half = half_on_grid(surface, wall)
     sides = []
@@ -112,8 +116,7 @@ def channels(surface: Surface, wall: Wall) -> tuple[Solid, Solid]:
                 advice="Make the wall thinner or use fewer sites.",
                 measured={"wall_over_longest_side": float(2 * np.max(half))},
             )
-        asked = thickness_at(wall, side.vertices) / 2
-        sides.append(Solid.of(at_distance(side, surface.sheet, asked, surface.grid.spacing)))
+        sides.append(Solid.of(offset_surface(side, surface, lambda p: thickness_at(wall, p) / 2, SAG, reach)))
     return sides[0], sides[1]
 
 
@@ -123,16 +126,3 @@ def half_on_grid(surface: Surface, wall: Wall) -> float | Values:
         values = (wall.at(surface.grid.points()) / 2).astype(np.float32)
         return np.asarray(values.reshape(surface.grid.shape))
     return wall / 2
-
-
-def at_distance(side: TriangleMesh, surface: TriangleMesh, distance: Array, spacing: float) -> TriangleMesh:
-    """A mesh with its vertices moved to lie at exactly a distance (V,) from a surface.
-
-    Marching cubes takes the distance as linear between voxels (of edge ``spacing``); near a bend of the surface it is
-    not. Only small corrections are made: the caps at the grid's end lie further away and stay.
-    """
-    squared, _, foot = igl.point_mesh_squared_distance(side.vertices, surface.vertices, surface.faces)
-    found = np.sqrt(squared)
-    near = (np.abs(found - distance) < 0.25 * spacing) & (found > 0.1 * distance)
-    factor = np.where(near, distance / np.where(near, found, 1.0), 1.0)[:, None]
-    return TriangleMesh(np.where(near[:, None], foot + factor * (side.vertices - foot), side.vertices), side.faces)

@@ -36,7 +36,8 @@ def shared() -> tuple[Domain, Body]:
 def test_solid_and_fluids_fill_the_envelope_exactly(shared: tuple[Domain, Body]) -> None:
     domain, body = shared
     total = body.solid.volume + body.hot.mesh.volume + body.cold.mesh.volume + body.dropped_m3
-    assert total == pytest.approx(domain.volume * domain.scale_m**3, rel=1e-9)
+    # Exact but for the rounding to single precision, in which the meshes are written.
+    assert total == pytest.approx(domain.volume * domain.scale_m**3, rel=1e-5)
     assert body.leak_m3 == 0
 
 

@@ -1,0 +1,200 @@
+"""Surfaces at a given distance from the separating surface, true between their vertices too.
+
+Marching cubes takes the distance as linear between voxels. Where a wall is thinner than a voxel, the sag of its edges
+then is a tenth of its thickness. So vertices are moved to the true distance, and edges that sag are split until they
+follow. Where a move would fold the mesh it is taken back: the mesh of marching cubes itself does not cross itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from dualms.intersections import crossing_triangles
+from dualms.surface import Surface
+from dualms.triangles import TriangleMesh
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+ROUNDS = 2  # each halves an edge, so its sag falls to a sixteenth
+FARTHEST_MOVE_VOXELS = 0.5  # the caps at the grid's end lie further away and stay
+SMOOTH_COSINE = 0.9  # between the normals of an edge's ends: below, its sag is measured, not estimated
+UNFOLDINGS = 12
+_STEP = 2.0**-27  # lattice on which folds are looked for, unit-cube units
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A mesh whose vertices were moved.
+
+    Parameters
+    ----------
+    vertices, base
+        (V, 3) after and before the move.
+    normals
+        (V, 3) unit vectors away from the surface; zero where nothing was moved.
+    faces
+        (F, 3).
+    """
+
+    vertices: Array
+    base: Array
+    normals: Array
+    faces: Faces
+
+
+def at_distance(
+    level: TriangleMesh,
+    sheet: TriangleMesh,
+    distance: Callable[[Array], Array],
+    spacing: float,
+) -> TriangleMesh:
+    """A level set's mesh with its vertices moved to lie at exactly a distance from a surface.
+
+    Parameters
+    ----------
+    level
+        Mesh near the wanted distance, from marching cubes.
+    sheet
+        The surface that distances are from.
+    distance
+        Wanted distance (P,) at points (P, 3).
+    spacing
+        Edge of a voxel.
+    """
+    return _unfolded(_moved(level.vertices, level.faces, sheet, distance, spacing))
+
+
+def offset_surface(
+    level: TriangleMesh,
+    surface: Surface,
+    distance: Callable[[Array], Array],
+    sag: float,
+    deepest: float,
+) -> TriangleMesh:
+    """A level set's mesh moved to a distance from the separating surface, its edges split where they sag.
+
+    Parameters
+    ----------
+    level
+        Mesh near the wanted distance, from marching cubes.
+    surface
+        The separating surface.
+    distance
+        Wanted distance (P,) at points (P, 3).
+    sag
+        How far an edge's middle may lie off the wanted distance, as a share of it.
+    deepest
+        Edges further outside the envelope than this are cut off later and stay as they are.
+
+    Notes
+    -----
+    The sag of an edge from a to b, with unit normals m and n at its ends, is (b - a)·(n - m)/8 to second order.
+    """
+    spacing = surface.grid.spacing
+    moved = _moved(level.vertices, level.faces, surface.sheet, distance, spacing)
+    for _ in range(ROUNDS):
+        edges, of_face = _edges(moved.faces)
+        middle = moved.vertices[edges].mean(axis=1)
+        wanted = distance(middle)
+        off = _sags(moved, edges, middle, wanted, surface, spacing)
+        split = (np.abs(off) > sag * wanted) & (surface.grid.sample(surface.depth, middle) > -deepest)
+        if not split.any():
+            break
+        moved = _split(moved, edges, of_face, split, surface, distance)
+    return _unfolded(moved)
+
+
+def _moved(
+    base: Array, faces: Faces, sheet: TriangleMesh, distance: Callable[[Array], Array], spacing: float
+) -> _Moved:
+    squared, _, foot = igl.point_mesh_squared_distance(np.ascontiguousarray(base), sheet.vertices, sheet.faces)
+    found, wanted = np.sqrt(squared), distance(base)
+    near = (np.abs(found - wanted) < FARTHEST_MOVE_VOXELS * spacing) & (found > 0.1 * wanted)
+    normals = np.where(near, 1 / np.where(near, found, 1.0), 0.0)[:, None] * (base - foot)
+    vertices = np.where(near[:, None], foot + wanted[:, None] * normals, base)
+    return _Moved(vertices, base, normals, faces)
+
+
+def _edges(faces: Faces) -> tuple[Faces, Faces]:
+    """(E, 2) edges, and (F, 3) the edges of each face: from its first corner to its second, and so on."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    count = int(faces.max()) + 1
+    keys, of_face = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
+    return np.stack([keys // count, keys % count], axis=1), of_face.reshape(-1, 3)
+
+
+def _sags(moved: _Moved, edges: Faces, middle: Array, wanted: Array, surface: Surface, spacing: float) -> Array:
+    """(E,) how far the middles of edges lie off the wanted distance; zero where an end was not moved."""
+    m, n = moved.normals[edges[:, 0]], moved.normals[edges[:, 1]]
+    along = moved.vertices[edges[:, 1]] - moved.vertices[edges[:, 0]]
+    off = np.einsum("ij,ij->i", along, n - m) / 8
+    cosine = np.einsum("ij,ij->i", m, n)
+    bent = np.flatnonzero((cosine < SMOOTH_COSINE) & (m.any(axis=1) | n.any(axis=1)))
+    squared, _, _ = igl.point_mesh_squared_distance(middle[bent], surface.sheet.vertices, surface.sheet.faces)
+    found = np.sqrt(squared) - wanted[bent]
+    off[bent] = np.where(np.abs(found) < spacing, found, 0.0)
+    return np.asarray(off)
+
+
+def _split(
+    moved: _Moved,
+    edges: Faces,
+    of_face: Faces,
+    split: NDArray[np.bool_],
+    surface: Surface,
+    distance: Callable[[Array], Array],
+) -> _Moved:
+    """New vertices in the middles of edges, and each triangle cut into two, three or four accordingly."""
+    middles = np.full(len(edges), -1)
+    middles[split] = len(moved.base) + np.arange(int(split.sum()))
+    base = moved.base[edges[split]].mean(axis=1)
+    start = moved.vertices[edges[split]].mean(axis=1)
+    new = _moved(start, moved.faces, surface.sheet, distance, surface.grid.spacing)
+    vertices = np.concatenate([moved.vertices, new.vertices])
+    faces = _subdivided(moved.faces, middles[of_face], vertices)
+    return _Moved(vertices, np.concatenate([moved.base, base]), np.concatenate([moved.normals, new.normals]), faces)
+
+
+def _subdivided(faces: Faces, middle: Faces, vertices: Array) -> Faces:
+    """Triangles cut at the middles (F, 3) of their edges; -1 where an edge is whole."""
+    count = (middle >= 0).sum(axis=1)
+    made = [faces[count == 0]]
+    (a, b, c), (p, q, r) = faces[count == 3].T, middle[count == 3].T
+    made += [np.stack(t, axis=1) for t in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))]
+    # One: turned so that a-b is the split edge.
+    turned, cut = _turned(faces[count == 1], middle[count == 1], (middle[count == 1] >= 0).argmax(axis=1))
+    (a, b, c), p = turned.T, cut[:, 0]
+    made += [np.stack((a, p, c), axis=1), np.stack((p, b, c), axis=1)]
+    # Two: turned so that a-b is whole; the quadrangle a-b-p-q is cut along its shorter diagonal.
+    turned, cut = _turned(faces[count == 2], middle[count == 2], (middle[count == 2] < 0).argmax(axis=1))
+    (a, b, c), p, q = turned.T, cut[:, 1], cut[:, 2]
+    made.append(np.stack((q, p, c), axis=1))
+    first = ((vertices[a] - vertices[p]) ** 2).sum(axis=1) < ((vertices[b] - vertices[q]) ** 2).sum(axis=1)
+    made.append(np.where(first[:, None], np.stack((a, b, p), axis=1), np.stack((a, b, q), axis=1)))
+    made.append(np.where(first[:, None], np.stack((a, p, q), axis=1), np.stack((b, p, q), axis=1)))
+    return np.concatenate(made)
+
+
+def _turned(faces: Faces, middle: Faces, by: Faces) -> tuple[Faces, Faces]:
+    """Corners and edge middles of faces, turned cyclically by an index each."""
+    index = (by[:, None] + np.arange(3)) % 3
+    return np.take_along_axis(faces, index, axis=1), np.take_along_axis(middle, index, axis=1)
+
+
+def _unfolded(moved: _Moved) -> TriangleMesh:
+    """The mesh, with moves taken back where triangles cross."""
+    vertices = moved.vertices.copy()
+    for _ in range(UNFOLDINGS):
+        crossing = crossing_triangles(TriangleMesh(vertices, moved.faces), _STEP)
+        back = np.unique(moved.faces[crossing])
+        back = back[(vertices[back] != moved.base[back]).any(axis=1)]
+        if len(back) == 0:
+            break
+        vertices[back] = moved.base[back]
+    return TriangleMesh(vertices, moved.faces)
