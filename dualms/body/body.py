@@ -40,6 +40,8 @@ class Fluid:
         Connected parts; 1 is right.
     filled_m3
         Volume of pockets that no port reached: they were left to the solid, so no powder is trapped in them.
+    crossing
+        Triangles that cross others in single precision: 0 is right.
     """
 
     mesh: TriangleMesh
@@ -47,6 +49,7 @@ class Fluid:
     patches: tuple[str, ...]
     components: int
     filled_m3: float
+    crossing: int
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class Body:
         Slivers of solid that hang on nothing and were left out.
     leak_m3
         Common volume of the two fluids: 0 is right.
+    crossing
+        Triangles of the solid that cross others in single precision: 0 is right.
     """
 
     solid: TriangleMesh
@@ -81,6 +86,7 @@ class Body:
     outline_m3: float
     dropped_m3: float
     leak_m3: float
+    crossing: int
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,7 @@ def make_body(
             measured={"parts": len(parts), "loose_fraction": dropped / envelope.volume},
         )
     cubic = domain.scale_m**3
-    solid, origin = _written(domain, parts[0], unit_m)
+    solid, origin, crossing = _written(domain, parts[0], unit_m)
     return Body(
         solid=solid,
         solid_side=np.array([side_of.get(o, 0) for o in range(origin.max() + 1)])[origin],
@@ -177,6 +183,7 @@ def make_body(
         outline_m3=outline.solid.volume * cubic,
         dropped_m3=dropped * cubic,
         leak_m3=(hot_solid & cold_solid).volume * cubic,
+        crossing=crossing,
     )
 
 
@@ -255,7 +262,7 @@ def _fluid(
             measured={"fluid": name, "parts": len(parts), "ports_reached": reached, "ports": total},
         )
     part = best[1]
-    mesh, origin = _written(domain, part, unit_m)
+    mesh, origin, crossing = _written(domain, part, unit_m)
     in_unit_cube = mesh.moved(1 / domain.scale_m, -domain.offset_m / domain.scale_m)
     filled = cut.volume - part.volume
     fluid = Fluid(
@@ -264,15 +271,16 @@ def _fluid(
         patches=patch_names(ports),
         components=len(part.bodies()),
         filled_m3=filled * domain.scale_m**3,
+        crossing=crossing,
     )
     origins = sorted(set(np.unique(origin).tolist()) - outer)
     return part, [pocket for pocket in parts if pocket is not part], fluid, origins
 
 
-def _written(domain: Domain, solid: Solid, unit_m: float) -> tuple[TriangleMesh, NDArray[np.int64]]:
-    """A boundary in metres, exact in single precision in the files' unit, and the origins of its faces."""
-    mesh, origin = as_written(solid, domain.scale_m / unit_m, domain.offset_m / unit_m)
-    return mesh.moved(unit_m, np.zeros(3)), origin
+def _written(domain: Domain, solid: Solid, unit_m: float) -> tuple[TriangleMesh, NDArray[np.int64], int]:
+    """A boundary in metres, exact in single precision in the files' unit, origins of its faces, crossing ones."""
+    mesh, origin, crossing = as_written(solid, domain.scale_m / unit_m, domain.offset_m / unit_m)
+    return mesh.moved(unit_m, np.zeros(3)), origin, crossing
 
 
 def filled_fraction(fluid: Fluid) -> float:

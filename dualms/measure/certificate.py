@@ -39,6 +39,7 @@ class Measured(Figures):
     loose_volume_m3: float
     solid_volume_m3: float
     meshes_not_closed: int
+    crossing_triangles: int
     overhang_area_fraction: float
     solid_volume_fraction: float
     area_density_per_m: float
@@ -61,6 +62,7 @@ def _sound(m: Measured) -> list[Check]:
         _positive("least wall, m", wall.thickness_min_m),
         _most("volume closure error", m.volume_closure_error, CLOSURE),
         _zero("meshes not closed", m.meshes_not_closed),
+        _zero("triangles that cross others, in single precision", m.crossing_triangles),
         _zero("powder trapped in closed cavities, m³", m.trapped_volume_m3),
         _most("loose solid left out, m³", m.loose_volume_m3, LOOSE * m.solid_volume_m3),
         Check(name="overhang below 45°, m²", value=m.overhang.area_m2, limit="stated", passed=True),

@@ -146,6 +146,7 @@ def make_report(
         loose_volume_m3=body.dropped_m3,
         solid_volume_m3=solid_volume,
         meshes_not_closed=sum(not closed for closed in watertight.values()),
+        crossing_triangles=body.crossing + body.hot.crossing + body.cold.crossing,
         overhang_area_fraction=overhang,
         solid_volume_fraction=solid_volume / volume,
         area_density_per_m=area / volume,

@@ -192,7 +192,7 @@ def test_headers_an_outer_shell_and_a_graded_wall_are_built(tmp_path: Path) -> N
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["leak_free"]
     assert all(report["watertight"].values())
-    assert report["volume_closure_error"] < 1e-9
+    assert report["volume_closure_error"] < 1e-5  # single precision
     assert 0.0008 < report["wall"]["thickness_m"] < 0.0014
     mesh = read_domain_mesh(tmp_path / "solid.stl", Unit.MM)
     assert np.ptp(mesh.vertices_m, axis=0)[0] == pytest.approx(0.080 + 2 * 0.0215, abs=1e-6)

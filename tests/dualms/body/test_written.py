@@ -57,8 +57,9 @@ def test_features_below_single_precision_are_closed_up() -> None:
     # Two boxes that overlap by less than single precision can say at 100 mm: their union has edges of 1e-9.
     a = TriangleMesh(*_box((0, 0, 0), (1, 1, 1)))
     b = TriangleMesh(*_box((1 - 1e-9, 0.2 + 1e-9, 0.2), (2, 0.8, 0.8)))
-    mesh, origin = as_written(Solid.of(a) | Solid.of(b), 100.0, np.zeros(3))
+    mesh, origin, crossing = as_written(Solid.of(a) | Solid.of(b), 100.0, np.zeros(3))
     assert mesh.is_closed
+    assert crossing == 0
     assert len(np.unique(origin)) == 2
     assert len(np.unique(np.float32(mesh.vertices), axis=0)) == len(mesh.vertices)
     assert mesh.volume == pytest.approx(1.36e6, rel=1e-5)
