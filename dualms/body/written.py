@@ -44,7 +44,8 @@ def as_written(solid: Solid, scale: float, offset: NDArray[np.float64]) -> tuple
     Returns
     -------
     mesh
-        Closed, in the files' unit; every coordinate is exact in single precision, no two vertices coincide.
+        Closed, in the files' unit; every coordinate is exact in single precision, and no two vertices coincide unless
+        triangles cross there.
     origin
         (F,) the body that each triangle was cut from.
     crossing
@@ -54,7 +55,7 @@ def as_written(solid: Solid, scale: float, offset: NDArray[np.float64]) -> tuple
     Raises
     ------
     InvalidBody
-        If the mesh cannot be closed on vertices that single precision tells apart.
+        If the mesh does not stay closed.
     """
     made, origin = solid.faces_by_origin()
     vertices = offset + scale * made.vertices
@@ -67,7 +68,7 @@ def as_written(solid: Solid, scale: float, offset: NDArray[np.float64]) -> tuple
         if not crossing.any():
             break
         mesh, origin = _collapsed(mesh, origin, least * size, crossing)
-    if not mesh.is_closed or len(np.unique(mesh.vertices, axis=0)) < len(mesh.vertices):
+    if not mesh.is_closed:
         raise InvalidBody(
             "The body does not stay closed once its coordinates are rounded to single precision.",
             advice="Change surface.resolution or the wall's thickness a little.",
