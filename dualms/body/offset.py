@@ -111,14 +111,31 @@ def offset_surface(
 
 
 def _moved(
-    base: Array, faces: Faces, sheet: TriangleMesh, distance: Callable[[Array], Array], spacing: float
+    base: Array,
+    faces: Faces,
+    sheet: TriangleMesh,
+    distance: Callable[[Array], Array],
+    spacing: float,
+    facing: Array | None = None,
 ) -> _Moved:
+    """Points moved to the distance; ``facing`` (V, 3) says on which side of the sheet, where they may have got across.
+
+    The middle of an edge does where a thin wall bends by more than its thickness between two vertices.
+    """
     squared, _, foot = igl.point_mesh_squared_distance(np.ascontiguousarray(base), sheet.vertices, sheet.faces)
     found, wanted = np.sqrt(squared), distance(base)
-    near = (np.abs(found - wanted) < FARTHEST_MOVE_VOXELS * spacing) & (found > 0.1 * wanted)
-    normals = np.where(near, 1 / np.where(near, found, 1.0), 0.0)[:, None] * (base - foot)
-    vertices = np.where(near[:, None], foot + wanted[:, None] * normals, base)
-    return _Moved(vertices, base, normals, faces)
+    away = found > 0.1 * wanted
+    normals = (base - foot) / np.where(away, found, 1.0)[:, None]
+    if facing is not None:
+        across = away & (np.einsum("ij,ij->i", normals, facing) < 0)
+        normals[across] *= -1
+        length = np.linalg.norm(facing, axis=1)
+        normals[~away] = (facing / np.where(length > 0, length, 1.0)[:, None])[~away]
+        found = np.where(across, -found, found)
+        away |= length > 0
+    near = (np.abs(found - wanted) < FARTHEST_MOVE_VOXELS * spacing) & away
+    normals = np.where(near[:, None], normals, 0.0)
+    return _Moved(np.where(near[:, None], foot + wanted[:, None] * normals, base), base, normals, faces)
 
 
 def _edges(faces: Faces) -> tuple[Faces, Faces]:
@@ -155,7 +172,8 @@ def _split(
     middles[split] = len(moved.base) + np.arange(int(split.sum()))
     base = moved.base[edges[split]].mean(axis=1)
     start = moved.vertices[edges[split]].mean(axis=1)
-    new = _moved(start, moved.faces, surface.sheet, distance, surface.grid.spacing)
+    facing = moved.normals[edges[split]].sum(axis=1)
+    new = _moved(start, moved.faces, surface.sheet, distance, surface.grid.spacing, facing)
     vertices = np.concatenate([moved.vertices, new.vertices])
     faces = _subdivided(moved.faces, middles[of_face], vertices)
     return _Moved(vertices, np.concatenate([moved.base, base]), np.concatenate([moved.normals, new.normals]), faces)

@@ -42,8 +42,9 @@ def test_a_wall_far_thinner_than_a_voxel_stops_the_walk() -> None:
 
 def pierced(body: Body, at: tuple[float, float, float], radius: float) -> Body:
     """The body without its solid's triangles that reach into a ball."""
-    near = np.linalg.norm(body.solid.vertices - np.array(at), axis=1) < radius
-    keep = ~near[body.solid.faces].any(axis=1)
+    triangles = body.solid.vertices[body.solid.faces]
+    centre = np.broadcast_to(np.array(at), (len(triangles), 3))
+    keep = np.linalg.norm(trimesh.triangles.closest_point(triangles, centre) - centre, axis=1) > radius
     return replace(body, solid=body.solid.part(keep), solid_side=body.solid_side[keep])
 
 
