@@ -99,7 +99,7 @@ class Table:
             "domain_sha256": case.sha256,
             "longest_side_m": case.domain.scale_m,
             "wall_over_longest_side": case.wall,
-            "fluids": case.spec.fluids.model_dump(mode="json"),
+            "fluids": case.spec.fluids.model_dump(mode="json", exclude_none=True),
         }
         self._provenance = {
             "dualms": __version__,
