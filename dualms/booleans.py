@@ -31,13 +31,26 @@ class Solid:
         InvalidBody
             If the mesh is not closed and manifold.
         """
-        origin = manifold3d.Manifold.reserve_ids(1)
+        return cls.of_parts(mesh, np.zeros(len(mesh.faces), dtype=np.int64))
+
+    @classmethod
+    def of_parts(cls, mesh: TriangleMesh, part: NDArray[np.int64]) -> Solid:
+        """A body whose triangles are told apart: those of ``part`` k (F,) have the origin ``origin + k``.
+
+        Raises
+        ------
+        InvalidBody
+            If the mesh is not closed and manifold.
+        """
+        order = np.argsort(part, kind="stable")
+        parts, first = np.unique(part[order], return_index=True)
+        origin = manifold3d.Manifold.reserve_ids(int(parts.max(initial=0)) + 1)
         manifold = manifold3d.Manifold(
             manifold3d.Mesh64(
                 vert_properties=np.ascontiguousarray(mesh.vertices, dtype=np.float64),
-                tri_verts=np.ascontiguousarray(mesh.faces, dtype=np.uint64),
-                run_index=np.array([0, 3 * len(mesh.faces)], dtype=np.uint64),
-                run_original_id=np.array([origin], dtype=np.uint32),
+                tri_verts=np.ascontiguousarray(mesh.faces[order], dtype=np.uint64),
+                run_index=3 * np.append(first, len(order)).astype(np.uint64),
+                run_original_id=(origin + parts).astype(np.uint32),
             )
         )
         if manifold.status() != manifold3d.Error.NoError:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -67,18 +66,10 @@ def _cut_open(body: Body) -> list[tuple[TriangleMesh, Colour]]:
     normal = np.zeros(3)
     normal[axis] = -1.0
     height = 0.5 * (points[:, axis].min() + points[:, axis].max())
-    solid = Solid.of(body.solid)
-    cut = Solid(solid.manifold.trim_by_plane(tuple(normal), -float(height)), -1).mesh()
-    middle = cut.centroids
-    on_plane = (np.abs(cut.vertices[cut.faces][:, :, axis] - height) < 1e-7 * np.ptp(points)).all(axis=1)
-    side = _nearest_side(body, middle)
-    return [(cut.part(on_plane), CUT), *((cut.part(~on_plane & (side == s)), c) for s, c in SIDES)]
-
-
-def _nearest_side(body: Body, points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Side of the solid's face that each point lies on."""
-    _, face, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), body.solid.vertices, body.solid.faces)
-    return np.asarray(body.solid_side[face])
+    solid = Solid.of_parts(body.solid, body.solid_side + 1)
+    cut, origin = Solid(solid.manifold.trim_by_plane(tuple(normal), -float(height)), -1).faces_by_origin()
+    sides = [(cut.part(origin == solid.origin + 1 + side), colour) for side, colour in SIDES]
+    return [(cut.part((origin < solid.origin) | (origin > solid.origin + 2)), CUT), *sides]
 
 
 def _port_direction(body: Body) -> NDArray[np.float64]:

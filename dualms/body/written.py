@@ -23,7 +23,7 @@ from dualms.triangles import TriangleMesh
 Ints = NDArray[np.int64]
 
 SEPARATION = 1e-6  # of the body's size: 0.1 µm on 140 mm
-WHERE_CROSSING = (3e-6, 1e-5, 3e-5, 1e-4, 3e-4)  # the same, round the few triangles that still cross others
+WHERE_CROSSING = (3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)  # the same, of the few triangles that still cross others
 
 
 def lattice_step(vertices: NDArray[np.float64]) -> float:

@@ -46,9 +46,7 @@ def _optimum_without_connectivity(graph: Graph) -> float:
     return float(-result.fun)
 
 
-@pytest.mark.parametrize(
-    ("count", "transverse"), [(16, 1.0), (36, 5.0), pytest.param(60, 5.0, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("count", "transverse"), [(16, 1.0), (36, 5.0), pytest.param(60, 5.0, marks=pytest.mark.slow)])
 def test_annealing_is_optimal_on_small_graphs(count: int, transverse: float) -> None:
     graph = delaunay_graph(count, 7, transverse)
     found = max_cut(graph, PartitionSpec(seconds=0.1), 0)
