@@ -13,7 +13,7 @@ def test_parts_are_told_apart_after_a_cut() -> None:
     mesh = TriangleMesh(np.array(box.vertices), np.array(box.faces))
     axis = np.abs(mesh.crosses).argmax(axis=1)  # one part for each pair of opposite faces
     whole = Solid.of_parts(mesh, axis)
-    upper = TriangleMesh(mesh.vertices + [0, 0, 0.75], mesh.faces)
+    upper = TriangleMesh(mesh.vertices + np.array([0, 0, 0.75]), mesh.faces)
     cut, origin = (whole - Solid.of(upper)).faces_by_origin()
     areas = [cut.areas[origin == whole.origin + k].sum() for k in range(3)]
     assert areas == pytest.approx([1.5, 1.5, 1.0])  # sides three quarters high, the bottom whole
