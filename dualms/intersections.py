@@ -21,7 +21,7 @@ _LOW_BITS = 30
 _LOW = (1 << _LOW_BITS) - 1
 
 
-def crossing_triangles(mesh: TriangleMesh, step: float) -> NDArray[np.bool_]:
+def crossing_triangles(mesh: TriangleMesh, step: float, asked: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Triangles that touch or cross others beyond shared edges and corners, or have no area.
 
     Parameters
@@ -30,6 +30,8 @@ def crossing_triangles(mesh: TriangleMesh, step: float) -> NDArray[np.bool_]:
         Any triangles; vertices are taken as equal by index.
     step
         Edge of the lattice that the vertices lie on (or are rounded to); its extent is at most 2²⁸ steps.
+    asked
+        (F,) bool: only pairs with one of these are looked at; default all.
 
     Returns
     -------
@@ -52,7 +54,8 @@ def crossing_triangles(mesh: TriangleMesh, step: float) -> NDArray[np.bool_]:
     boxes = _tree(low[order], high[order])
     faces = np.ascontiguousarray(mesh.faces[order])
     bad = np.zeros(len(faces), dtype=np.bool_)
-    _search(points, faces, low[order], high[order], boxes, bad)
+    wanted = np.ones(len(faces), dtype=np.bool_) if asked is None else asked[order]
+    _search(points, faces, low[order], high[order], boxes, wanted, bad)
     found = np.empty_like(bad)
     found[order] = bad
     return found
@@ -87,10 +90,14 @@ def _tree(low: Ints, high: Ints) -> Ints:
 
 
 @njit(parallel=True, cache=True)
-def _search(p: Ints, faces: Ints, low: Ints, high: Ints, boxes: Ints, bad: NDArray[np.bool_]) -> None:
+def _search(
+    p: Ints, faces: Ints, low: Ints, high: Ints, boxes: Ints, asked: NDArray[np.bool_], bad: NDArray[np.bool_]
+) -> None:
     leaves = len(boxes) // 2
     count = (len(faces) + _LEAF - 1) // _LEAF
     for leaf in prange(count):
+        if not asked[leaf * _LEAF : leaf * _LEAF + _LEAF].any():
+            continue
         box = boxes[leaves + leaf]
         stack = np.empty(64, dtype=np.int64)
         stack[0] = 1
@@ -106,11 +113,13 @@ def _search(p: Ints, faces: Ints, low: Ints, high: Ints, boxes: Ints, bad: NDArr
                 stack[size], stack[size + 1] = 2 * node, 2 * node + 1
                 size += 2
                 continue
-            if node - leaves < leaf:
-                continue
+            beside = (node - leaves) * _LEAF
+            if node - leaves < leaf and asked[beside : beside + _LEAF].any():
+                continue  # looked at from there
             for s in range(leaf * _LEAF, min(leaf * _LEAF + _LEAF, len(faces))):
-                first = max((node - leaves) * _LEAF, s + 1)
-                for t in range(first, min((node - leaves) * _LEAF + _LEAF, len(faces))):
+                for t in range(s + 1 if node - leaves == leaf else beside, min(beside + _LEAF, len(faces))):
+                    if not (asked[s] or asked[t]):
+                        continue
                     if (low[s, 0] > high[t, 0] or low[s, 1] > high[t, 1] or low[s, 2] > high[t, 2]
                             or low[t, 0] > high[s, 0] or low[t, 1] > high[s, 1] or low[t, 2] > high[s, 2]):  # fmt: skip
                         continue

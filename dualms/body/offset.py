@@ -208,11 +208,16 @@ def _turned(faces: Faces, middle: Faces, by: Faces) -> tuple[Faces, Faces]:
 def _unfolded(moved: _Moved) -> TriangleMesh:
     """The mesh, with moves taken back where triangles cross."""
     vertices = moved.vertices.copy()
+    changed = np.ones(len(moved.faces), dtype=bool)
     for _ in range(UNFOLDINGS):
-        crossing = crossing_triangles(TriangleMesh(vertices, moved.faces), _STEP)
+        # What crosses elsewhere has been taken back already.
+        crossing = crossing_triangles(TriangleMesh(vertices, moved.faces), _STEP, changed)
         back = np.unique(moved.faces[crossing])
         back = back[(vertices[back] != moved.base[back]).any(axis=1)]
         if len(back) == 0:
             break
         vertices[back] = moved.base[back]
+        touched = np.zeros(len(vertices), dtype=bool)
+        touched[back] = True
+        changed = touched[moved.faces].any(axis=1)
     return TriangleMesh(vertices, moved.faces)

@@ -70,3 +70,16 @@ def test_random_triangles_agree_with_cgal(seed: int) -> None:
 def test_a_lattice_that_is_too_fine_is_refused() -> None:
     with pytest.raises(ValueError, match="wider"):
         crossing_triangles(_mesh(FLAT), 1e-12)
+
+
+def test_asking_for_some_finds_all_that_they_cross() -> None:
+    generator = np.random.default_rng(7)
+    corners = (generator.integers(0, 4000, (1500, 1, 3)) + generator.integers(-150, 151, (1500, 3, 3))) * STEP
+    mesh = TriangleMesh(corners.reshape(-1, 3), np.arange(4500, dtype=np.int64).reshape(-1, 3))
+    asked = generator.random(1500) < 0.1
+    whole, some, others = (crossing_triangles(mesh, STEP, a) for a in (None, asked, ~asked))
+    assert 100 < whole.sum() < 1400
+    assert (some[asked] == whole[asked]).all()
+    assert not (some & ~whole).any()
+    assert ((some | others) == whole).all()
+    assert not crossing_triangles(mesh, STEP, np.zeros(1500, dtype=bool)).any()
