@@ -208,7 +208,7 @@ def _turned(faces: Faces, middle: Faces, by: Faces) -> tuple[Faces, Faces]:
 def _unfolded(moved: _Moved) -> TriangleMesh:
     """The mesh, with moves taken back where triangles cross."""
     vertices = moved.vertices.copy()
-    changed = np.ones(len(moved.faces), dtype=bool)
+    changed: NDArray[np.bool_] = np.ones(len(moved.faces), dtype=bool)
     for _ in range(UNFOLDINGS):
         # What crosses elsewhere has been taken back already.
         crossing = crossing_triangles(TriangleMesh(vertices, moved.faces), _STEP, changed)
@@ -219,5 +219,5 @@ def _unfolded(moved: _Moved) -> TriangleMesh:
         vertices[back] = moved.base[back]
         touched = np.zeros(len(vertices), dtype=bool)
         touched[back] = True
-        changed = touched[moved.faces].any(axis=1)
+        changed = np.asarray(touched[moved.faces].any(axis=1))
     return TriangleMesh(vertices, moved.faces)
