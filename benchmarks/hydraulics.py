@@ -7,6 +7,7 @@ again, so a broken run goes on where it stopped. Modes:
     table   ours at 300 to 800 sites, and a gyroid of equal solid fraction for each (the paper's appendix C)
     trend   one gyroid and one design over the grids 64, 96, 128
     sweep   a grid over any fields of the specification:  --vary graph.transverse_weight=5,20 --vary seed=0,1,2
+    whole   table, larger gyroids on either side of ours, seeds 0 to 2 at equal UA; then the trend, with --trend
     show    prints the rows
 
 The domain is ``examples/u_bend.stl`` unless another is given with its specification. ``--longest-side-m`` scales it:
@@ -24,6 +25,7 @@ import platform
 import shutil
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +56,9 @@ EXAMPLES = HERE.parent / "examples"
 CELLS = {"gyroid": (0.17, 0.2, 0.238, 0.28), "p": (0.17, 0.238), "d": (0.238, 0.3), "iwp": (0.24, 0.32)}
 SITES = (300, 400, 500, 600, 800)
 GRIDS = (64, 96, 128)
+WIDER = (1.0, 1.25, 1.5)  # times the cell of equal solid: gyroids whose UA stands on both sides of ours
+SEEDS = (0, 1, 2)
+ASIDE = {"bound", "wheels", "pictures", "streamlines"}  # beside the figures: a change there changes none
 CLOSED = 10  # times the least ΔP of all cell sizes: one that happens to be closed at a port is no baseline
 
 PUBLISHED = {  # paper, appendix C: (ΔT hot K, ΔT cold K, ΔP hot Pa, ΔP cold Pa) of the gyroid, and of theirs
@@ -206,11 +211,11 @@ class Bench:
 
 
 def hash_of(*names: str) -> str:
-    """Hash of files and folders of the package: a row belongs to the code that made it."""
+    """Hash of files and folders of the package that a row's figures come from: a row belongs to the code that made it."""
     files = [
         p for name in names for p in ((PACKAGE / name).glob("*.py") if (PACKAGE / name).is_dir() else [PACKAGE / name])
     ]
-    return hashlib.sha256(b"".join(p.read_bytes() for p in sorted(files))).hexdigest()[:16]
+    return hashlib.sha256(b"".join(p.read_bytes() for p in sorted(files) if p.stem not in ASIDE)).hexdigest()[:16]
 
 
 def overridden(spec: Spec, overrides: dict[str, Any]) -> Spec:
@@ -241,6 +246,17 @@ def line(row: dict[str, Any]) -> str:
     )
 
 
+def at_equal_ua(table: Table, row: dict[str, Any]) -> str:
+    """ΔP of a row over a gyroid's of the same UA, and whether that gyroid lies between solved ones."""
+    found = law(table, row)
+    if found is None or row["figures"] is None:
+        return ""
+    ua = row["figures"]["ua_w_k"]
+    between = min(found.ua_w_k) <= ua <= max(found.ua_w_k)
+    ratio = row["figures"]["pressure_drop_pa"] / found.pressure_at(ua)
+    return f", ΔP / gyroid at equal UA {ratio:.3f}" + ("" if between else " (extrapolated)")
+
+
 def law(table: Table, row: dict[str, Any], kind: str = "gyroid") -> PowerLaw | None:
     """What a periodic surface needs for any UA: its cell sizes solved at a row's grid by the same solver."""
     solver = row["provenance"].get("solver_sha256")
@@ -265,14 +281,7 @@ def law(table: Table, row: dict[str, Any], kind: str = "gyroid") -> PowerLaw | N
 def show(table: Table) -> None:
     """All rows, with ΔP over a gyroid's of the same UA at the same grid by the same solver."""
     for row in table.rows:
-        found = law(table, row)
-        ratio = ""
-        if found is not None and row["figures"] is not None:
-            figures = row["figures"]
-            ratio = (
-                f", ΔP / gyroid at equal UA {figures['pressure_drop_pa'] / found.pressure_at(figures['ua_w_k']):.3f}"
-            )
-        print(line(row) + ratio)
+        print(line(row) + at_equal_ua(table, row))
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -285,22 +294,47 @@ def run(arguments: argparse.Namespace) -> None:
             for cell in arguments.cell or CELLS[kind]:
                 bench.periodic(kind, cell, grid)
     elif arguments.mode == "table":
-        for grid, sites in itertools.product(grids, SITES):
-            ours = bench.design({"graph.sites": sites, **fixed(varied)}, grid)
-            bench.equal_solid("gyroid", ours)
-            theirs = PUBLISHED.get(sites)
-            if theirs:
-                print(f"  published, gyroid and theirs: ΔT hot, cold (K), ΔP hot, cold (Pa): {theirs[0]}, {theirs[1]}")
+        for grid in grids:
+            table(bench, grid, fixed(varied))
     elif arguments.mode == "trend":
-        for grid in arguments.grid or GRIDS:
-            bench.periodic("gyroid", 0.238, grid)
-            bench.design(fixed(varied), grid)
+        trend(bench, arguments.grid or GRIDS, fixed(varied), 0.238)
+    elif arguments.mode == "whole":
+        whole(bench, grids[0], fixed(varied), arguments.trend)
     elif arguments.mode == "sweep":
         names = [name for name, _ in varied]
         for grid in grids:
             for values in itertools.product(*(v for _, v in varied)):
                 bench.design({n: json.loads(v) for n, v in zip(names, values, strict=True)}, grid)
     show(bench.table)
+
+
+def table(bench: Bench, grid: int, changes: dict[str, Any]) -> float | None:
+    """Ours by the number of sites, and gyroids of equal solid fraction; gives the cell of the first of them."""
+    cells = []
+    for sites in SITES:
+        gyroid = bench.equal_solid("gyroid", bench.design({"graph.sites": sites, **changes}, grid))
+        cells += [gyroid["key"]["cell"]] if gyroid else []
+        print(f"  published, gyroid and theirs: ΔT hot, cold (K), ΔP hot, cold (Pa): {PUBLISHED[sites]}")
+    return cells[0] if cells else None
+
+
+def trend(bench: Bench, grids: Sequence[int], changes: dict[str, Any], cell: float) -> None:
+    """One gyroid and one design over grids."""
+    for grid in grids:
+        bench.periodic("gyroid", cell, grid)
+        bench.design(changes, grid)
+
+
+def whole(bench: Bench, grid: int, changes: dict[str, Any], grids: Sequence[int]) -> None:
+    """Everything that is asked of one envelope."""
+    cell = table(bench, grid, changes)
+    if cell is None:
+        return
+    for factor in WIDER:
+        bench.periodic("gyroid", cell * factor, grid)
+    for seed in SEEDS:
+        bench.design({"seed": seed, **changes}, grid)
+    trend(bench, grids, changes, cell)
 
 
 def fixed(varied: list[tuple[str, list[str]]]) -> dict[str, Any]:
@@ -311,13 +345,16 @@ def fixed(varied: list[tuple[str, list[str]]]) -> dict[str, Any]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("mode", nargs="?", default="table", choices=["curve", "table", "trend", "sweep", "show"])
+    parser.add_argument(
+        "mode", nargs="?", default="table", choices=["curve", "table", "trend", "sweep", "whole", "show"]
+    )
     parser.add_argument("--domain", type=Path, default=EXAMPLES / "u_bend.stl")
     parser.add_argument("--spec", type=Path, default=EXAMPLES / "u_bend.json")
     parser.add_argument("--name", help="of the results' file; the domain's name by default")
     parser.add_argument("--longest-side-m", type=float, help="scales the domain")
     parser.add_argument("--wall", type=float, default=0.0075, help="thickness over the longest side")
     parser.add_argument("--grid", type=int, action="append", help="voxels along the longest side; may be repeated")
+    parser.add_argument("--trend", type=int, nargs="*", default=[], help="grids, for whole")
     parser.add_argument("--surface", action="append", choices=sorted(CELLS), help="for curve; may be repeated")
     parser.add_argument("--cell", type=float, action="append", help="for curve: over the longest side; may be repeated")
     parser.add_argument("--vary", action="append", default=[], metavar="FIELD=V1,V2", help="for sweep; may be repeated")

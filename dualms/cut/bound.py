@@ -1,7 +1,7 @@
-"""A proven upper bound of the cut: the linear relaxation over triangles and degrees, made safe by its dual.
+"""A proven upper bound of the cut: the linear relaxation over triangles, wheels and degrees, made safe by its dual.
 
-Triangle inequalities of the cut polytope: Barahona and Mahjoub 1986. Degree rows are the paper's own constraint: a site
-with at least two neighbours on its side has at most degree minus two cut edges.
+Triangle inequalities of the cut polytope: Barahona and Mahjoub 1986. Wheels: :mod:`dualms.cut.wheels`. Degree rows are
+the paper's own constraint: a site with at least two neighbours on its side has at most degree minus two cut edges.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array, csr_array
 
 from dualms.cut.constraints import LEAST_DEGREE
+from dualms.cut.wheels import RINGS, wheels
 from dualms.graph.graph import Graph
 from dualms.grid import Array
 
 LARGEST_LP = 10_000  # edges; above, the bound is that of blocks of the graph
+ROUNDING = 1e-6  # far above that of the sums, far below one
 SIGNS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
 
 
@@ -25,14 +27,16 @@ def upper_bound(graph: Graph) -> float:
     Notes
     -----
     The solver's multipliers are only made non-negative and put into the dual's formula, whose every value is a bound;
-    so the result holds whatever the solver's tolerances. About 0.3 s for 1,500 edges, 1.2 s for 4,500.
+    so the result holds whatever the solver's tolerances. Where all weights are whole numbers, so is every cut. About
+    0.4 s for 1,500 edges, 2.5 s for 4,500.
     """
     fixed = graph.pins[graph.edges[:, 0]] * graph.pins[graph.edges[:, 1]]
     blocks = _blocks(graph)
     total = 0.0
     for block in blocks:
         total += _block_bound(graph, block, fixed)
-    return min(total, float(graph.weights[fixed != 1].sum()))
+    total = min(total, float(graph.weights[fixed != 1].sum()))
+    return float(np.floor(total + ROUNDING)) if (graph.weights == np.round(graph.weights)).all() else total
 
 
 def triangles(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -67,6 +71,13 @@ def rows(graph: Graph, block: NDArray[np.int64]) -> tuple[csr_array, Array]:
         value.append(np.tile(np.array(sign, dtype=float), len(corners)))
         right.append(np.full(len(corners), 2.0 if sign == SIGNS[0] else 0.0))
         base += len(corners)
+    for ring in RINGS:
+        members = wheels(edges, count, ring)
+        row.append(np.repeat(base + np.arange(len(members)), members.shape[1]))
+        column.append(members.ravel())
+        value.append(np.ones(members.size))
+        right.append(np.full(len(members), 2.0 * ring))
+        base += len(members)
     place = np.full(count, -1)
     place[whole] = np.arange(len(whole))
     ends, index = edges.T.ravel(), np.tile(np.arange(len(edges)), 2)

@@ -12,6 +12,7 @@ from dualms.cut import bound
 from dualms.cut.bound import rows, triangles, upper_bound
 from dualms.cut.constraints import cut_weight, violations
 from dualms.cut.partition import max_cut
+from dualms.cut.wheels import RINGS, wheels
 from dualms.graph.graph import Graph
 from dualms.spec import PartitionSpec
 from tests.dualms.cut.graphs import bare_graph, delaunay_graph
@@ -36,17 +37,23 @@ def _optimum_without_connectivity(graph: Graph) -> float:
         right.append(degree[v] - 2.0)
     matrix, limit = rows(graph, np.arange(len(edges)))
     tight = np.hstack([matrix.toarray(), np.zeros((matrix.shape[0], count))])
+    highest = np.ones(variables)
+    if not graph.pins.any():
+        highest[len(edges) + int(degree.argmax())] = 0  # the fluids may change places: one site's is given
     result = milp(
         np.concatenate([-graph.weights, np.zeros(count)]),
         constraints=LinearConstraint(np.vstack([*lines, tight]), ub=np.concatenate([right, limit])),
         integrality=np.ones(variables),
-        bounds=Bounds(0, 1),
+        bounds=Bounds(0, highest),
     )
     assert result.status == 0
     return float(-result.fun)
 
 
-@pytest.mark.parametrize(("count", "transverse"), [(16, 1.0), (36, 5.0), pytest.param(60, 5.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("count", "transverse"),
+    [(16, 1.0), (24, 1.0), (36, 5.0), *(pytest.param(60, a, marks=pytest.mark.slow) for a in (1.0, 5.0))],
+)
 def test_annealing_is_optimal_on_small_graphs(count: int, transverse: float) -> None:
     graph = delaunay_graph(count, 7, transverse)
     found = max_cut(graph, PartitionSpec(seconds=0.1), 0)
@@ -73,6 +80,23 @@ def test_bound_of_blocks_is_a_bound_too(monkeypatch: pytest.MonkeyPatch) -> None
     whole = upper_bound(graph)
     monkeypatch.setattr(bound, "LARGEST_LP", 300)
     assert whole <= upper_bound(graph) <= graph.weights.sum()
+
+
+@pytest.mark.parametrize("ring", RINGS)
+def test_no_partition_cuts_more_of_a_wheel_than_its_row_allows(ring: int) -> None:
+    around = [tuple(sorted((2 + k, 2 + (k + 1) % ring))) for k in range(ring)]
+    edges = np.array(sorted([(0, 1), *product((0, 1), range(2, 2 + ring)), *around]))
+    wheel = wheels(edges, ring + 2, ring)[0]
+    assert set(wheel) == set(range(len(edges)))
+    partitions = (np.array(sides) for sides in product((0, 1), repeat=ring + 2))
+    assert max(int((sides[edges[wheel, 0]] != sides[edges[wheel, 1]]).sum()) for sides in partitions) == 2 * ring
+
+
+def test_wheels_of_the_complete_graph() -> None:
+    edges = np.array([(i, j) for i in range(6) for j in range(i + 1, 6)])
+    # K6 holds 6 K5s, each with 10 edges as hubs of the triangle of the others.
+    assert len(wheels(edges, 6, 3)) == 60
+    assert len(wheels(edges, 6, 5)) == 0
 
 
 def test_triangles_of_the_complete_graph() -> None:
