@@ -211,7 +211,7 @@ class Bench:
 
 
 def hash_of(*names: str) -> str:
-    """Hash of files and folders of the package that a row's figures come from: a row belongs to the code that made it."""
+    """Hash of the files and folders of the package that a row's figures come from."""
     files = [
         p for name in names for p in ((PACKAGE / name).glob("*.py") if (PACKAGE / name).is_dir() else [PACKAGE / name])
     ]
