@@ -58,7 +58,14 @@ SITES = (300, 400, 500, 600, 800)
 GRIDS = (64, 96, 128)
 WIDER = (1.0, 1.25, 1.5)  # times the cell of equal solid: gyroids whose UA stands on both sides of ours
 SEEDS = (0, 1, 2)
-ASIDE = {"bound", "wheels", "pictures", "streamlines"}  # beside the figures: a change there changes none
+ASIDE = {
+    "acceleration",
+    "bound",
+    "pictures",
+    "streamlines",
+    "training",
+    "wheels",
+}  # beside the figures: a change there changes none
 CLOSED = 10  # times the least ΔP of all cell sizes: one that happens to be closed at a port is no baseline
 
 PUBLISHED = {  # paper, appendix C: (ΔT hot K, ΔT cold K, ΔP hot Pa, ΔP cold Pa) of the gyroid, and of theirs

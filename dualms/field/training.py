@@ -13,6 +13,7 @@ from torch import Tensor
 
 from dualms.domain import Domain
 from dualms.errors import FieldDiverged
+from dualms.field.acceleration import accelerated
 from dualms.field.field import Field, History
 from dualms.field.lattice import Lattice, typical_gap
 from dualms.field.network import Network
@@ -99,6 +100,7 @@ class Training:
         self.lessons = lessons
         self.generator = torch.Generator(device).manual_seed(seed)
         self.model = Model(spec, self.generator)
+        self.function = accelerated(self.model, device, twice_differentiated=spec.gradient == "exact")
         self.optimizer = torch.optim.Adam(self.model.parameters, lr=spec.learning_rate, fused=True)
         self.step = 0
         self.planned = sum(steps for steps, _ in lessons)
@@ -123,7 +125,7 @@ class Training:
         """One step of Adam; nothing is copied to the host."""
         for group in self.optimizer.param_groups:
             group["lr"] = self.spec.learning_rate * self.spec.decay ** (self.step // self.spec.decay_every)
-        loss, fidelity, smoothness = self.objective()(self.model, self.generator)
+        loss, fidelity, smoothness = self.objective()(self.function, self.generator)
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self.optimizer.step()
@@ -212,8 +214,6 @@ def train(
     On the CPU a resumed run gives the same bytes as an uninterrupted one.
     """
     where = torch.device(device)
-    if where.type == "cuda":
-        torch.set_float32_matmul_precision("high")
     lattice = Lattice.of(domain, skeletons, _SAMPLING_RESOLUTION)
     paper = PaperLoss(spec, Samples.of(lattice, skeletons, where))
     lessons: list[tuple[int, Objective]] = [(spec.steps, paper)]
