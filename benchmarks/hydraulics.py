@@ -7,7 +7,7 @@ again, so a broken run goes on where it stopped. Modes:
     table   ours at 300 to 800 sites, and a gyroid of equal solid fraction for each (the paper's appendix C)
     trend   one gyroid and one design over the grids 64, 96, 128
     sweep   a grid over any fields of the specification:  --vary graph.transverse_weight=5,20 --vary seed=0,1,2
-    whole   table, larger gyroids on either side of ours, seeds 0 to 2 at equal UA; then the trend, with --trend
+    whole   table, larger gyroids so that ours lies between solved ones, two more seeds; then the trend, with --trend
     show    prints the rows
 
 The domain is ``examples/u_bend.stl`` unless another is given with its specification. ``--longest-side-m`` scales it:
@@ -57,7 +57,7 @@ CELLS = {"gyroid": (0.17, 0.2, 0.238, 0.28), "p": (0.17, 0.238), "d": (0.238, 0.
 SITES = (300, 400, 500, 600, 800)
 GRIDS = (64, 96, 128)
 WIDER = (1.0, 1.25, 1.5)  # times the cell of equal solid: gyroids whose UA stands on both sides of ours
-SEEDS = (0, 1, 2)
+OTHER_SEEDS = (1, 2)
 ASIDE = {
     "acceleration",
     "bound",
@@ -289,6 +289,9 @@ def show(table: Table) -> None:
     """All rows, with ΔP over a gyroid's of the same UA at the same grid by the same solver."""
     for row in table.rows:
         print(line(row) + at_equal_ua(table, row))
+    print("Published (paper, appendix C), by sites: gyroid and theirs, ΔT hot, cold (K), ΔP hot, cold (Pa)")
+    for sites, (gyroid, theirs) in PUBLISHED.items():
+        print(f"  {sites}: {gyroid}, {theirs}")
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -321,7 +324,6 @@ def table(bench: Bench, grid: int, changes: dict[str, Any]) -> float | None:
     for sites in SITES:
         gyroid = bench.equal_solid("gyroid", bench.design({"graph.sites": sites, **changes}, grid))
         cells += [gyroid["key"]["cell"]] if gyroid else []
-        print(f"  published, gyroid and theirs: ΔT hot, cold (K), ΔP hot, cold (Pa): {PUBLISHED[sites]}")
     return cells[0] if cells else None
 
 
@@ -339,9 +341,10 @@ def whole(bench: Bench, grid: int, changes: dict[str, Any], grids: Sequence[int]
         return
     for factor in WIDER:
         bench.periodic("gyroid", cell * factor, grid)
-    for seed in SEEDS:
-        bench.design({"seed": seed, **changes}, grid)
-    trend(bench, grids, changes, cell)
+    first = {"graph.sites": SITES[0], **changes}
+    for seed in OTHER_SEEDS:
+        bench.design({**first, "seed": seed}, grid)
+    trend(bench, grids, first, cell)
 
 
 def fixed(varied: list[tuple[str, list[str]]]) -> dict[str, Any]:
