@@ -13,8 +13,9 @@ from dualms.body.walls import graded_wall, wall_thickness, widest_wall
 from dualms.cfd.evaluate import evaluate as solve_evaluation
 from dualms.cut.partition import Partition, max_cut
 from dualms.domain import Domain
-from dualms.field.field import load_field, save_field
+from dualms.field.field import load_field
 from dualms.field.solve import solve_field
+from dualms.field_file import write as write_field
 from dualms.flow import flow_field
 from dualms.flow_picture import flow_picture
 from dualms.graph.graph import Graph, site_graph
@@ -93,7 +94,7 @@ def solve(folder: Path, spec: Spec, progress: Progress, device: str) -> None:
         "field", lambda: solve_field(domain, given.skeletons, method, spec.seed, device, checkpoint, progress)
     )
     field = frame.field_back(field, given.domain, domain) if frame else field
-    save_field(field, folder / "field.safetensors")
+    write_field(field, given.domain, Unit(given.units), folder / "field.safetensors")
     watch.save(folder, "solve")
 
 
@@ -130,7 +131,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     watch.run(
         "report",
         lambda: results.write_meshes(
-            folder, domain, given.graph, given.partition, surface, body, units, spec.pictures.width
+            folder, domain, given.graph, given.partition, surface, body, units, spec.pictures.width, spec.output.formats
         ),
     )
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))

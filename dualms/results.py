@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dualms.body.body import Body, Fluid, in_units
 from dualms.body.files import COLD, HOT, METAL, SIDE_COLOURS, single_precision, write_3mf, write_glb, write_stl
+from dualms.body.regions import write_regions
 from dualms.cut.partition import Partition
 from dualms.domain import Domain
+from dualms.exchange import write_formats
 from dualms.graph.graph import Graph
 from dualms.maps import maps
 from dualms.measure.report import Report
+from dualms.page import report_page
 from dualms.pictures import preview
 from dualms.sections import sections_picture
 from dualms.skeleton_mesh import skeleton_meshes
-from dualms.spec import Unit
-from dualms.steps import ARTIFACTS, sha256_of
+from dualms.spec import MeshFormat, Unit
+from dualms.steps import ARTIFACTS, OPTIONAL_ARTIFACTS, sha256_of
 from dualms.surface import Surface, to_metres
+
+REGIONS = {"hot": "fluid_hot_patches.stl.gz", "cold": "fluid_cold_patches.stl.gz"}
 
 
 def write_meshes(
@@ -35,8 +38,9 @@ def write_meshes(
     body: Body,
     units: Unit,
     preview_width: int,
+    formats: tuple[MeshFormat, ...] = (),
 ) -> None:
-    """Write surface, solid, fluids, patches, scene, and pictures (so many pixels across)."""
+    """Write surface, solid, fluids, patches, scene, pictures (so many pixels across), and other formats asked for."""
     scaled = in_units(body, units.metres)
     sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
     write_stl(single_precision(sheet), folder / "surface.stl")
@@ -44,7 +48,10 @@ def write_meshes(
     write_3mf(scaled.solid, scaled.solid_side, units, folder / "solid.3mf")
     write_stl(scaled.hot.mesh, folder / "fluid_hot.stl")
     write_stl(scaled.cold.mesh, folder / "fluid_cold.stl")
+    write_regions(scaled.hot, folder / REGIONS["hot"])
+    write_regions(scaled.cold, folder / REGIONS["cold"])
     write_json(folder / "patches.json", patches(body, units))
+    write_formats(formats, folder, surface, body, units)
     colours = np.array([SIDE_COLOURS[s] for s in (-1, 0, 1)], dtype=np.uint8)[body.solid_side + 1]
     bones = {name: to_metres(domain, mesh) for name, mesh in skeleton_meshes(graph, partition).items()}
     # glTF is in metres by definition.
@@ -79,6 +86,7 @@ def patches(body: Body, units: Unit) -> dict[str, Any]:
             listed.append(
                 {
                     "name": name,
+                    "index": k,
                     "area_m2": part.area,
                     "centre": (centre / units.metres).tolist(),
                     "normal": (normal / max(float(np.linalg.norm(normal)), 1e-300)).tolist(),
@@ -90,8 +98,8 @@ def patches(body: Body, units: Unit) -> dict[str, Any]:
     return {
         "units": units.value,
         "triangles": "half-open ranges [first, last) of triangle indices in the STL file",
-        "hot": {"file": "fluid_hot.stl", "patches": describe(body.hot)},
-        "cold": {"file": "fluid_cold.stl", "patches": describe(body.cold)},
+        "hot": {"file": "fluid_hot.stl", "regions": REGIONS["hot"], "patches": describe(body.hot)},
+        "cold": {"file": "fluid_cold.stl", "regions": REGIONS["cold"], "patches": describe(body.cold)},
     }
 
 
@@ -113,20 +121,12 @@ def write_evaluation(
 
 def write_report(folder: Path, report: Report) -> None:
     """Write ``report.json`` and the self-contained page ``report.html``, with the hashes of the files beside them."""
-    files = [f for step in ARTIFACTS.values() for f in step if not f.startswith("report")]
+    files = [
+        f for step in (*ARTIFACTS.values(), OPTIONAL_ARTIFACTS["build"]) for f in step if not f.startswith("report")
+    ]
     report = report.with_files({name: sha256_of(folder / name) for name in files if (folder / name).exists()})
     write_json(folder / "report.json", report.model_dump(mode="json"))
-    environment = Environment(
-        loader=PackageLoader("dualms", "pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["g"] = lambda value, digits=4: f"{value:.{digits}g}"
-    pictures = {
-        name: base64.b64encode((folder / name).read_bytes()).decode()
-        for name in ("preview.png", "sections.png", "maps.png", "evaluation.png")
-        if (folder / name).exists()
-    }
-    page = environment.get_template("report.html").render(report=report, pictures=pictures)
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    (folder / "report.html").write_text(report_page(report, folder), encoding="utf-8")
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:

@@ -22,6 +22,9 @@ STAGES: dict[Step, tuple[str, ...]] = {
 
 MEDIA_TYPES = {
     ".stl": "model/stl",
+    ".gz": "application/gzip",
+    ".obj": "model/obj",
+    ".vtu": "application/xml",
     ".3mf": "model/3mf",
     ".glb": "model/gltf-binary",
     ".json": "application/json",
@@ -41,6 +44,8 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
         "solid.3mf",
         "fluid_hot.stl",
         "fluid_cold.stl",
+        "fluid_hot_patches.stl.gz",
+        "fluid_cold_patches.stl.gz",
         "patches.json",
         "scene.glb",
         "preview.png",
@@ -54,7 +59,16 @@ ARTIFACTS: dict[Step, tuple[str, ...]] = {
 OPTIONAL_ARTIFACTS: dict[Step, tuple[str, ...]] = {
     "prepare": ("flow.png",),
     "solve": (),
-    "build": (),
+    "build": (
+        "solid.obj",
+        "fluid_hot.obj",
+        "fluid_cold.obj",
+        "surface.obj",
+        "wall.vtu",
+        "solid.vtu",
+        "fluid_hot.vtu",
+        "fluid_cold.vtu",
+    ),
     "evaluate": ("evaluation.png", "case.zip", "logs.zip"),
 }
 INTERNAL: dict[Step, tuple[str, ...]] = {
@@ -98,7 +112,7 @@ def step_keys(domain_sha256: str, spec: Spec) -> dict[Step, str]:
         "solve": [document["field"], spec.seed],
         "build": [
             headers,
-            *(document[k] for k in ("surface", "wall", "shell", "build_direction", "pictures", "require")),
+            *(document[k] for k in ("surface", "wall", "shell", "build_direction", "pictures", "output", "require")),
         ],
         "evaluate": [document["evaluation"], document["fluids"]],
     }

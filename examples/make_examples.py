@@ -1,11 +1,15 @@
 """Make the example domains: pipes of round section along a centre line, as binary STL in millimetres.
 
-A straight prism is bent along the line, so both end faces stay planar and every mesh is closed by construction.
+A straight prism is bent along the line, so both end faces stay planar and every mesh is closed by construction. And one
+specification from another: the U-bend's four ports with a header on each.
 """
 
 from __future__ import annotations
 
+import copy
+import json
 from pathlib import Path
+from typing import Any
 
 import manifold3d
 import numpy as np
@@ -18,12 +22,14 @@ STEP_MM = 1.0
 
 
 def main() -> None:
-    """Write the three domains beside this file."""
+    """Write the three domains and the specification with headers beside this file."""
     for name, (corners, fillet, radius) in PIPES.items():
         mesh = pipe(rounded(np.array(corners, dtype=float), fillet), radius)
         (HERE / f"{name}.stl").write_bytes(trimesh.exchange.stl.export_stl(mesh))
         size = np.ptp(mesh.vertices, axis=0).round(1).tolist()
         print(f"{name}.stl: {len(mesh.faces)} faces, {size} mm, {mesh.volume / 1000:.1f} cm³")
+    ports = json.loads((HERE / "u_bend_ports.json").read_text())
+    (HERE / "u_bend_headers.json").write_text(json.dumps(with_headers(ports), indent=2) + "\n")
 
 
 # Corners of the centre line (mm), radius of its bends (mm), radius of the section (mm).
@@ -33,6 +39,18 @@ PIPES = {
     "zigzag": ([(0, 0, 0), (60, 0, 0), (100, 60, 0), (160, 0, 0), (200, 60, 0), (260, 60, 0)], 24.0, 16.0),
     "multi_bend": ([(0, 0, 0), (70, 0, 0), (70, 70, 0), (70, 70, 70), (140, 70, 70), (140, 140, 70)], 28.0, 17.0),
 }
+
+# A stub pipe for a hose of 12 mm, with a flange; two flanges of 10 mm have room on ports 22 mm apart.
+HEADER = {"radius": 6, "length": 20, "flange": {"radius": 10, "thickness": 3}}
+
+
+def with_headers(spec: dict[str, Any]) -> dict[str, Any]:
+    """A specification with :data:`HEADER` on every port."""
+    spec = copy.deepcopy(spec)
+    for fluid in spec["fluids"].values():
+        for port in (*fluid["inlets"], *fluid["outlets"]):
+            port["header"] = HEADER
+    return spec
 
 
 def rounded(corners: Array, radius: float) -> Array:

@@ -29,6 +29,7 @@ from dualms.spec.flow import DirectionFlow, FlowSpec, NoFlow, PathFlow, Potentia
 from dualms.spec.fluids import ColdFluidSpec, FluidSpec, FluidsSpec
 from dualms.spec.graph import GRAPH_PRESETS, GraphSpec
 from dualms.spec.model import Model, Point, Vector
+from dualms.spec.output import MeshFormat, OutputSpec
 from dualms.spec.partition import PartitionSpec
 from dualms.spec.ports import BoxPort, DiskPort, FacetPort, FlangeSpec, HeaderSpec, PortSpec
 from dualms.spec.require import RequireSpec
@@ -56,10 +57,12 @@ __all__ = [
     "GradedAround",
     "GraphSpec",
     "HeaderSpec",
+    "MeshFormat",
     "Model",
     "NetworkField",
     "NeuralField",
     "NoFlow",
+    "OutputSpec",
     "PartitionSpec",
     "PathFlow",
     "PhaseField",

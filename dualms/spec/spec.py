@@ -11,6 +11,7 @@ from dualms.spec.flow import FlowSpec, PotentialFlow
 from dualms.spec.fluids import FluidsSpec
 from dualms.spec.graph import GraphSpec
 from dualms.spec.model import Model, Point
+from dualms.spec.output import OutputSpec
 from dualms.spec.partition import PartitionSpec
 from dualms.spec.require import RequireSpec
 from dualms.spec.self_support import SelfSupportSpec
@@ -33,6 +34,7 @@ class Spec(Model):
     shell: ShellSpec | None = Field(default=ShellSpec())
     build_direction: Point = Field((0.0, 0.0, 1.0), description="Up in the printer.")
     pictures: PicturesSpec = Field(default=PicturesSpec())
+    output: OutputSpec = Field(default=OutputSpec())
     self_support: SelfSupportSpec | None = Field(None, description="Make the walls steep along the build direction.")
     require: RequireSpec = Field(default=RequireSpec(), description="What the certificate must also meet.")
     evaluation: EvaluationSpec | None = Field(None, description="Solve the flow too (needs a cfd worker).")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -13,11 +15,12 @@ import pytest
 import trimesh
 from PIL import Image
 
+from dualms.field_file import read as read_field
 from dualms.pipeline import run_step
 from dualms.progress import Cancelled, Silent
 from dualms.reading import read_domain_mesh
 from dualms.spec import FluidsSpec, Spec, Unit
-from dualms.steps import ARTIFACTS, INTERNAL, STAGES, step_keys, steps_of
+from dualms.steps import ARTIFACTS, INTERNAL, OPTIONAL_ARTIFACTS, STAGES, sha256_of, step_keys, steps_of
 from tests.dualms.shapes import box_mesh, end_ports, shared_ends, small_spec, with_headers
 
 VOLUME = 80 * 60 * 40
@@ -100,6 +103,51 @@ def test_the_3mf_holds_the_solid_in_its_unit(designed: tuple[Path, Recorder]) ->
     assert solid.volume_m3 == pytest.approx(stl.volume_m3, rel=1e-5)
 
 
+def test_the_field_s_file_is_zero_on_the_surface_and_signed_in_the_fluids(designed: tuple[Path, Recorder]) -> None:
+    folder, _ = designed
+    field = read_field(folder / "field.safetensors")
+    assert field.units == Unit.MM
+    vertices = trimesh.load(folder / "surface.stl").vertices
+    off = np.abs(field.value(vertices)) / np.linalg.norm(field.gradient(vertices), axis=1)
+    voxel = 80 / 64  # of the surface: between its voxels marching cubes is linear, the field is not
+    assert np.quantile(off, 0.99) < 0.1 * voxel
+    assert off.max() < 0.5 * voxel
+    for name, sign in (("fluid_hot", 1), ("fluid_cold", -1)):
+        fluid = trimesh.load(folder / f"{name}.stl")
+        assert (sign * field.value(fluid.vertices) > 0).mean() > 0.999
+
+
+def test_the_readme_s_example_of_the_field_runs(
+    designed: tuple[Path, Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```", readme, re.S)
+    (tmp_path / "result").symlink_to(designed[0])
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {})
+    values, gradients = (re.findall(r"[-\d.]+(?:e-?\d+)?", line) for line in _shown(capsys.readouterr().out))
+    assert (len(values), len(gradients)) == (2, 6)
+
+
+def _shown(printed: str) -> tuple[str, str]:
+    """The value's line, and the gradient's lines."""
+    value, _, gradient = printed.partition("\n")
+    return value, gradient
+
+
+def test_regions_hold_the_patches_triangles(designed: tuple[Path, Recorder]) -> None:
+    folder, _ = designed
+    document = json.loads((folder / "patches.json").read_text())
+    for fluid in ("hot", "cold"):
+        text = gzip.decompress((folder / document[fluid]["regions"]).read_bytes()).decode()
+        counts = {
+            name: part.count("endfacet")
+            for name, part in re.findall(r"^solid (\S+)\n(.*?)^endsolid", text, re.M | re.S)
+        }
+        listed = {p["name"]: sum(b - a for a, b in p["triangles"]) for p in document[fluid]["patches"]}
+        assert counts == listed
+
+
 def test_patches_cover_each_fluids_boundary_once(designed: tuple[Path, Recorder]) -> None:
     folder, _ = designed
     document = json.loads((folder / "patches.json").read_text())
@@ -173,6 +221,12 @@ def test_a_changed_wall_changes_the_keys_of_build_alone() -> None:
     assert one["build"] != two["build"]
 
 
+def test_other_formats_change_the_keys_of_build_alone() -> None:
+    one, two = (step_keys("0" * 64, small_spec(end_ports(), output={"formats": f})) for f in ([], ["obj"]))
+    assert one["solve"] == two["solve"]
+    assert one["build"] != two["build"]
+
+
 def test_a_changed_header_changes_the_keys_of_build_alone() -> None:
     fluids = [with_headers(end_ports(), {"radius": 6, "length": n}) for n in (20, 21)]
     one, two = (step_keys("0" * 64, small_spec(f)) for f in fluids)
@@ -186,6 +240,7 @@ def test_headers_an_outer_shell_and_a_graded_wall_are_built(tmp_path: Path) -> N
         with_headers(end_ports(), {"radius": 6, "length": 20, "flange": {"radius": 10, "thickness": 3}}),
         shell={"thickness": 1.5, "side": "outside"},
         wall={"graded": {"direction": (1, 0, 0), "stations": [(0, 0.8), (80, 1.4)]}},
+        output={"formats": ["obj", "vtu"]},
     )
     for step in steps_of(spec):
         run_step(step, tmp_path, _domain_file(tmp_path), spec, Silent())
@@ -196,6 +251,9 @@ def test_headers_an_outer_shell_and_a_graded_wall_are_built(tmp_path: Path) -> N
     assert 0.0008 < report["wall"]["thickness_m"] < 0.0014
     mesh = read_domain_mesh(tmp_path / "solid.stl", Unit.MM)
     assert np.ptp(mesh.vertices_m, axis=0)[0] == pytest.approx(0.080 + 2 * 0.0215, abs=1e-6)
+    files = report["provenance"]["files_sha256"]
+    for name in OPTIONAL_ARTIFACTS["build"]:
+        assert files[name] == sha256_of(tmp_path / name)
     document = json.loads((tmp_path / "patches.json").read_text())
     ports = [p for f in ("hot", "cold") for p in document[f]["patches"] if "let" in p["name"]]
     assert len(ports) == 4
