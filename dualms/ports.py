@@ -19,7 +19,12 @@ from dualms.spec import BoxPort, DiskPort, FacetPort, FluidsSpec, PortSpec, Unit
 
 Array = NDArray[np.float64]
 
+SAME_SIDE = float(np.cos(np.radians(45)))  # what turns from a port's mean normal by more does not open
+LEAST_FACING = 0.25  # of a port's area; a whole hemisphere has 0.29
 SAMPLES_ACROSS = 400  # sample spacing over the domain's longest side; finer than the finest default grid
+
+SHARE = "Move them apart, or give both fluids exactly the same port to share the opening."
+APART = "Move them apart, or make them one port."
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Po
     OverlappingPorts
         If two ports cover the same place and are not one shared opening.
     InvalidSpec
-        If a facet's index is out of range.
+        If a facet's index is out of range, or a port lies over an edge or a corner and faces nowhere.
     """
     listed = [
         (f"{fluid}-{role}-{k}", 1 if fluid == "hot" else -1, role == "inlet", spec)
@@ -137,6 +142,7 @@ def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Po
         shared = any(other == spec and sign != fluid for _, sign, _, other in listed)
         shares = sample_area[triangle[covered]]
         center, normal, area = _mean(name, samples[covered], mesh.normals[triangle[covered]], shares)
+        _refuse_turning(name, mesh.normals[triangle[covered]] @ normal, shares)
         shape, extent = _extent(mesh, spec, units)
         touched = np.unique(triangle[covered])
         ports.append(Port(name, fluid, inlet, shared, samples[covered], center, normal, area, touched, shape, extent))
@@ -236,6 +242,18 @@ def _mean(name: str, samples: Array, normals: Array, shares: Array) -> tuple[Arr
     return np.average(samples, axis=0, weights=shares), normal / length, area
 
 
+def _refuse_turning(name: str, facing: Array, shares: Array) -> None:
+    """A port needs a face to open through: enough of it must turn from its mean normal by less than 45°."""
+    share = float(shares[facing > SAME_SIDE + 1e-6].sum() / shares.sum())
+    if share < LEAST_FACING:
+        raise InvalidSpec(
+            f"Port {name} lies over an edge or a corner of the domain: {100 * share:.3g} % of its area turns from its "
+            "mean direction by less than 45°.",
+            advice="Keep the port to one face, or give each face a port of its own.",
+            measured={"port": name, "facing": share},
+        )
+
+
 def _extent(mesh: DomainMesh, spec: PortSpec, units: Unit) -> tuple[str, Array]:
     if isinstance(spec, DiskPort):
         return "disk", np.array([spec.center, (spec.radius, 0.0, 0.0)]) * units.metres
@@ -257,6 +275,6 @@ def _refuse_overlaps(ports: list[Port], specs: list[PortSpec], mesh: DomainMesh)
             share = common / min(len(a.samples), len(b.samples))
             raise OverlappingPorts(
                 f"Ports {a.name} and {b.name} overlap on {100 * share:.3g} % of the smaller one.",
-                advice="Move them apart, or give both fluids exactly the same port to share the opening.",
+                advice=SHARE if a.fluid != b.fluid else APART,
                 measured={"ports": [a.name, b.name], "overlap": share},
             )

@@ -245,21 +245,28 @@ def _fluid(
     outer = {outline.skin, *pipes}
     cut = room & outline.solid
     parts = cut.bodies()
-    best: tuple[int, Solid] | None = None
+    best: tuple[set[int], Solid] | None = None
     for part in parts[:8]:  # by falling volume
         patch = patch_of_faces(*part.faces_by_origin(), interface, outline.skin, pipes, ports, shell)
-        reached = len(np.unique(patch[patch >= 2]))
-        if best is None or reached > best[0]:
+        reached = set((np.unique(patch[patch >= 2]) - 2).tolist())
+        if best is None or len(reached) > len(best[0]):
             best = (reached, part)
-        if reached == len(ports):
+        if len(reached) == len(ports):
             break
-    if best is None or best[0] < len(ports):
-        reached, total = (0 if best is None else best[0]), len(ports)
+    if best is None or len(best[0]) < len(ports):
+        reached, total = (set() if best is None else best[0]), len(ports)
+        missed = [port.name for k, port in enumerate(ports) if k not in reached]
         raise ChannelBlocked(
             f"No part of the {name} fluid joins all of its {total} ports; the best of {len(parts)} parts reaches "
-            f"{reached}.",
+            f"{len(reached)}, not {', '.join(missed)}.",
             advice="Make the wall or shell thinner, the ports larger, or use fewer sites.",
-            measured={"fluid": name, "parts": len(parts), "ports_reached": reached, "ports": total},
+            measured={
+                "fluid": name,
+                "parts": len(parts),
+                "ports_reached": len(reached),
+                "ports": total,
+                "missed": missed,
+            },
         )
     part = best[1]
     mesh, origin, crossing = _written(domain, part, unit_m)

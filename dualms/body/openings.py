@@ -11,13 +11,12 @@ from scipy.sparse.csgraph import connected_components
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import WallTooThick
-from dualms.ports import Port
+from dualms.ports import SAME_SIDE, Port
 from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
 
 Values = NDArray[np.float32]
 SMOOTH = np.cos(np.radians(30))  # neighbours that turn by less belong to the same face of the envelope
-SAME_SIDE = np.cos(np.radians(45))
 CLEARANCE_VOXELS = 0.1  # between an opening and the bore of a header that it leads into
 OVERLAP_VOXELS = 1.5  # how far above the skin such an opening ends; the bore starts at one voxel
 
