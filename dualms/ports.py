@@ -20,7 +20,8 @@ from dualms.spec import BoxPort, DiskPort, FacetPort, FluidsSpec, PortSpec, Unit
 Array = NDArray[np.float64]
 
 SAME_SIDE = float(np.cos(np.radians(45)))  # what turns from a port's mean normal by more does not open
-LEAST_FACING = 0.25  # of a port's area; a whole hemisphere has 0.29
+FACING = float(np.cos(np.radians(40)))  # clearly less, whatever the samples: an edge's two faces turn by 45°
+LEAST_FACING = 0.2  # of a port's area; a whole hemisphere has 0.23
 SAMPLES_ACROSS = 400  # sample spacing over the domain's longest side; finer than the finest default grid
 
 SHARE = "Move them apart, or give both fluids exactly the same port to share the opening."
@@ -243,12 +244,12 @@ def _mean(name: str, samples: Array, normals: Array, shares: Array) -> tuple[Arr
 
 
 def _refuse_turning(name: str, facing: Array, shares: Array) -> None:
-    """A port needs a face to open through: enough of it must turn from its mean normal by less than 45°."""
-    share = float(shares[facing > SAME_SIDE + 1e-6].sum() / shares.sum())
+    """A port needs a face to open through: enough of it must turn from its mean normal by clearly less than 45°."""
+    share = float(shares[facing > FACING].sum() / shares.sum())
     if share < LEAST_FACING:
         raise InvalidSpec(
             f"Port {name} lies over an edge or a corner of the domain: {100 * share:.3g} % of its area turns from its "
-            "mean direction by less than 45°.",
+            "mean direction by less than 40°.",
             advice="Keep the port to one face, or give each face a port of its own.",
             measured={"port": name, "facing": share},
         )

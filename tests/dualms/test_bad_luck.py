@@ -4,25 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import networkx as nx
 import numpy as np
 import pytest
 import trimesh
 
 from dualms.body.body import Body, make_body
+from dualms.cut.partition import Partition, max_cut
 from dualms.domain import Domain
 from dualms.errors import (
     ChannelBlocked,
     DisconnectedDomain,
     DualMSError,
+    InfeasiblePartition,
     InvalidSpec,
     OverlappingPorts,
     PortNotOnBoundary,
     WallTooThick,
 )
+from dualms.flow import flow_field
+from dualms.graph.graph import Graph, site_graph
 from dualms.grid import Grid
 from dualms.mesh import DomainMesh
 from dualms.ports import resolve_ports
-from dualms.spec import FluidsSpec, Unit
+from dualms.progress import Silent
+from dualms.skeletons import skeletons
+from dualms.spec import FluidsSpec, GraphSpec, PartitionSpec, PotentialFlow, Unit
 from dualms.surface import extract_surface
 from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid, halves, shared_ends
 
@@ -94,6 +101,28 @@ def test_boxes_with_a_common_side_are_both_opened_up_to_wall_and_shell(shell: fl
     rim = 80 * shell
     for side, name in (("hot", "inlet-0"), ("cold", "outlet-0")):
         assert _opening(body, side, name) == pytest.approx((30 - 0.8 - rim) * (40 - 2 * rim), rel=0.02)
+
+
+def _cut(fluids: FluidsSpec) -> tuple[Graph, Partition]:
+    domain = domain_of(box_mesh(), fluids)
+    flow = flow_field(domain, PotentialFlow(), 1e-3, progress=Silent())
+    graph = site_graph(domain, flow, GraphSpec(sites=40), 0, progress=Silent())
+    partition = max_cut(graph, PartitionSpec(seconds=0.05), 0, progress=Silent())
+    skeletons(domain, graph, partition)
+    return graph, partition
+
+
+def test_touching_ports_get_fluids_of_one_piece() -> None:
+    graph, partition = _cut(_fluids(hot_inlets=_disk(0, 20, 20, 10), cold_outlets=_disk(0, 40, 20, 10)))
+    whole = nx.Graph(graph.edges.tolist())
+    for side in (1, -1):
+        assert nx.is_connected(whole.subgraph(np.flatnonzero(partition.labels == side).tolist()))
+
+
+def test_touching_ports_below_a_sites_cell_are_refused_by_name() -> None:
+    with pytest.raises(InfeasiblePartition, match=r"cold-outlet-0 .* hot-inlet-0") as refused:
+        _cut(_fluids(hot_inlets=_disk(0, 29, 20, 1), cold_outlets=_disk(0, 31, 20, 1)))
+    assert "more sites" in refused.value.advice
 
 
 @pytest.mark.parametrize(

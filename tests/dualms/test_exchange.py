@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import meshio
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 import trimesh
 
 from dualms.body.body import Body, in_units
-from dualms.body.files import HOT, write_3mf, write_glb, write_stl
+from dualms.body.files import HOT, SIDE_COLOURS, write_3mf, write_glb, write_stl
 from dualms.exchange import write_formats, write_obj, write_vtu
 from dualms.reading import read_domain_mesh
 from dualms.spec import Unit
@@ -54,6 +56,21 @@ def test_a_3mf_says_its_unit_itself(tmp_path: Path) -> None:
         scaled = in_units(body, units.metres)
         write_3mf(scaled.solid, scaled.solid_side, units, tmp_path / "solid.3mf")
         assert read_domain_mesh(tmp_path / "solid.3mf", None).volume_m3 == pytest.approx(body.solid.volume, rel=1e-5)
+
+
+def test_a_3mf_s_triangles_have_the_colours_of_their_sides(tmp_path: Path) -> None:
+    scaled = in_units(flat_body(Unit.MM), 1e-3)
+    write_3mf(scaled.solid, scaled.solid_side, Unit.MM, tmp_path / "solid.3mf")
+    with zipfile.ZipFile(tmp_path / "solid.3mf") as archive:
+        model = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
+    assert model.attrib["unit"] == "millimeter"
+    group = model.find(".//{*}colorgroup")
+    assert group is not None
+    colours = [tuple(bytes.fromhex(colour.attrib["color"][1:])) for colour in group]
+    shown = [colours[int(t.attrib["p1"])] for t in model.findall(".//{*}triangle") if t.get("pid") == group.get("id")]
+    # Triangles of the object's own colour may leave it out.
+    for side in (1, -1):
+        assert shown.count(SIDE_COLOURS[side]) == (scaled.solid_side == side).sum()
 
 
 def test_a_scene_is_in_metres(tmp_path: Path) -> None:
