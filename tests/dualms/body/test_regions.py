@@ -11,8 +11,10 @@ import pytest
 
 from dualms.body.body import Fluid, in_units
 from dualms.body.regions import write_regions
-from dualms.cfd.openfoam import find_openfoam
-from tests.dualms.bodies import gyroid_body
+from dualms.cfd.openfoam import OpenFoam, find_openfoam
+from dualms.spec import Unit
+from tests.dualms.bodies import flat_body, gyroid_body
+from tests.dualms.body.snappy import snappy_case
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +53,7 @@ def test_a_patch_without_triangles_is_left_out(fluids: dict[str, Fluid], tmp_pat
 @pytest.mark.cfd
 @pytest.mark.parametrize("side", ["hot", "cold"])
 def test_openfoam_finds_every_region_on_one_closed_surface(fluids: dict[str, Fluid], side: str, tmp_path: Path) -> None:
-    foam = find_openfoam()
-    if foam is None or not (foam.programs / "surfaceCheck").exists():
-        pytest.skip("OpenFOAM's surfaceCheck is not installed")
+    foam = _foam("surfaceCheck")
     fluid = fluids[side]
     write_regions(fluid, tmp_path / "x.stl.gz")
     # By the name without .gz, as a mesher's dictionary has it.
@@ -68,3 +68,32 @@ def test_openfoam_finds_every_region_on_one_closed_surface(fluids: dict[str, Flu
     assert "Surface is closed. All edges connected to two faces." in said
     assert "Number of unconnected parts : 1" in said
     assert "Number of zones (connected area with consistent normal) : 1" in said
+
+
+@pytest.mark.cfd
+def test_openfoam_s_mesher_makes_a_mesh_with_the_same_patches(tmp_path: Path) -> None:
+    foam = _foam("blockMesh", "snappyHexMesh", "checkMesh")
+    fluid = in_units(flat_body(Unit.MM), 1e-3).hot
+    (tmp_path / "constant" / "triSurface").mkdir(parents=True)
+    write_regions(fluid, tmp_path / "constant" / "triSurface" / "hot.stl.gz")
+    snappy_case(tmp_path, "hot.stl", "40.1 15.2 20.3")
+    for program, arguments in (("blockMesh", ()), ("snappyHexMesh", ("-overwrite",)), ("checkMesh", ())):
+        assert foam.run(program, tmp_path, arguments=arguments) == 0
+    assert "Finished meshing without any errors" in (tmp_path / "log.snappyHexMesh").read_text()
+    boundary = (tmp_path / "constant" / "polyMesh" / "boundary").read_text()
+    faces = dict(re.findall(r"(\S+)\s*\{[^}]*nFaces\s+(\d+);", boundary))
+    assert set(faces) == {f"fluid_{name}" for name in fluid.patches}
+    assert all(int(count) > 20 for count in faces.values())
+    checked = (tmp_path / "log.checkMesh").read_text()
+    assert "Mesh OK" in checked
+    volume = re.search(r"Total volume = ([\d.e+]+[\d])", checked)
+    assert volume is not None
+    # The edges of a duct 26 mm across are rounded at cells of 2 mm.
+    assert float(volume.group(1)) == pytest.approx(fluid.mesh.volume, rel=0.02)
+
+
+def _foam(*programs: str) -> OpenFoam:
+    found = find_openfoam()
+    if found is None or not all((found.programs / program).exists() for program in programs):
+        pytest.skip(f"OpenFOAM's {', '.join(programs)} is not installed")
+    return found
