@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualms.errors import InvalidBody
-from dualms.triangles import TriangleMesh
+from dualms.triangles import TriangleMesh, used_only
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,15 @@ class Solid:
         """Enclosed volume."""
         return float(self.manifold.volume())
 
+    @property
+    def faces(self) -> int:
+        """Number of triangles."""
+        return int(self.manifold.num_tri())
+
+    def simplified(self, tolerance: float) -> Solid:
+        """The body with triangles merged that lie within a tolerance of a common plane; its origins stay."""
+        return Solid(self.manifold.simplify(tolerance), self.origin)
+
     def bodies(self) -> list[Solid]:
         """The connected bodies, largest first."""
         parts = [Solid(part, -1) for part in self.manifold.decompose()]
@@ -104,5 +113,4 @@ class Solid:
             faces = target[faces]
         runs = np.asarray(mesh.run_index, dtype=np.int64) // 3
         origin = np.repeat(np.asarray(mesh.run_original_id, dtype=np.int64), np.diff(runs))
-        used, faces = np.unique(faces, return_inverse=True)
-        return TriangleMesh(vertices[used], faces.reshape(-1, 3).astype(np.int64)), origin
+        return used_only(vertices, faces), origin

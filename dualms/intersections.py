@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from dualms.triangles import TriangleMesh
 
 Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Boxes = NDArray[np.int32]
 
 LATTICE_BITS = 28
 _LEAF = 4  # triangles a leaf
@@ -21,7 +23,7 @@ _LOW_BITS = 30
 _LOW = (1 << _LOW_BITS) - 1
 
 
-def crossing_triangles(mesh: TriangleMesh, step: float, asked: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+def crossing_triangles(mesh: TriangleMesh, step: float, asked: Mask | None = None) -> Mask:
     """Triangles that touch or cross others beyond shared edges and corners, or have no area.
 
     Parameters
@@ -31,7 +33,7 @@ def crossing_triangles(mesh: TriangleMesh, step: float, asked: NDArray[np.bool_]
     step
         Edge of the lattice that the vertices lie on (or are rounded to); its extent is at most 2²⁸ steps.
     asked
-        (F,) bool: only pairs with one of these are looked at; default all.
+        (F,) bool: only pairs with one of these are looked at, and only they are asked for their area; default all.
 
     Returns
     -------
@@ -40,47 +42,59 @@ def crossing_triangles(mesh: TriangleMesh, step: float, asked: NDArray[np.bool_]
 
     Notes
     -----
-    About a second for a million triangles on two cores.
+    About a second for a million triangles on two cores; a tenth of it where few are asked, whose tree is small.
     """
-    if len(mesh.faces) == 0:
-        return np.zeros(0, dtype=bool)
+    chosen = np.arange(len(mesh.faces)) if asked is None else np.flatnonzero(asked)
+    bad = np.zeros(len(mesh.faces), dtype=np.bool_)
+    if len(chosen) == 0:
+        return bad
     points = np.rint(mesh.vertices / step).astype(np.int64)
     points -= points.min(axis=0)
     if points.max() >= 1 << LATTICE_BITS:
         raise ValueError(f"the mesh is wider than 2^{LATTICE_BITS} steps of {step:.3g}")
-    corners = points[mesh.faces]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    order = np.argsort(_morton((low + high) // 2), kind="stable")
-    boxes = _tree(low[order], high[order])
-    faces = np.ascontiguousarray(mesh.faces[order])
-    bad = np.zeros(len(faces), dtype=np.bool_)
-    wanted = np.ones(len(faces), dtype=np.bool_) if asked is None else asked[order]
-    _search(points, faces, low[order], high[order], boxes, wanted, bad)
-    found = np.empty_like(bad)
-    found[order] = bad
-    return found
+    boxes = _boxes(points, mesh.faces, chosen)
+    order = np.argsort(_morton(boxes), kind="stable")
+    chosen, boxes = chosen[order], boxes[order]
+    place = np.full(len(mesh.faces), -1)
+    place[chosen] = np.arange(len(chosen))
+    # In the tree's order where all are in it: neighbours then walk through the same nodes.
+    walkers = chosen if asked is None else np.arange(len(mesh.faces))
+    _search(points, mesh.faces, walkers, chosen, place, boxes, _tree(boxes), bad)
+    return bad
 
 
-def _morton(points: Ints) -> Ints:
-    """(P,) bits of the three coordinates interleaved, 20 of each."""
-    code = np.zeros(len(points), dtype=np.int64)
-    for axis in range(3):
-        x = points[:, axis] >> (LATTICE_BITS - 20)
-        for shift, mask in ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F),
-                            (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249)):  # fmt: skip
-            x = (x | (x << shift)) & mask
-        code |= x << axis
+@njit(cache=True)
+def _boxes(points: Ints, faces: Ints, chosen: Ints) -> Boxes:
+    """(C, 6) bounding boxes of chosen faces."""
+    boxes = np.empty((len(chosen), 6), dtype=np.int32)
+    for n in range(len(chosen)):
+        i, j, k = faces[chosen[n]]
+        for axis in range(3):
+            x, y, z = points[i, axis], points[j, axis], points[k, axis]
+            boxes[n, axis], boxes[n, axis + 3] = min(x, y, z), max(x, y, z)
+    return boxes
+
+
+@njit(cache=True)
+def _morton(boxes: Boxes) -> Ints:
+    """(C,) bits of the three coordinates of the boxes' middles interleaved, 20 of each."""
+    code = np.zeros(len(boxes), dtype=np.int64)
+    for n in range(len(boxes)):
+        for axis in range(3):
+            middle = (np.int64(boxes[n, axis]) + boxes[n, axis + 3]) // 2 >> (LATTICE_BITS - 20)
+            for bit in range(20):
+                code[n] |= ((middle >> bit) & 1) << (3 * bit + axis)
     return code
 
 
-def _tree(low: Ints, high: Ints) -> Ints:
+def _tree(triangles: Boxes) -> Boxes:
     """(2L, 6) boxes of a complete binary tree, root at 1, over L leaves (a power of two)."""
-    starts = np.arange(0, len(low), _LEAF)
+    starts = np.arange(0, len(triangles), _LEAF)
     leaves = 1 << int(np.ceil(np.log2(max(len(starts), 1))))
-    boxes = np.empty((2 * leaves, 6), dtype=np.int64)
+    boxes = np.empty((2 * leaves, 6), dtype=np.int32)
     boxes[:, :3], boxes[:, 3:] = 1 << LATTICE_BITS, -1  # an empty box meets nothing
-    boxes[leaves : leaves + len(starts), :3] = np.minimum.reduceat(low, starts)
-    boxes[leaves : leaves + len(starts), 3:] = np.maximum.reduceat(high, starts)
+    boxes[leaves : leaves + len(starts), :3] = np.minimum.reduceat(triangles[:, :3], starts)
+    boxes[leaves : leaves + len(starts), 3:] = np.maximum.reduceat(triangles[:, 3:], starts)
     while leaves > 1:
         below = boxes[leaves : 2 * leaves]
         leaves //= 2
@@ -91,44 +105,63 @@ def _tree(low: Ints, high: Ints) -> Ints:
 
 @njit(parallel=True, cache=True)
 def _search(
-    p: Ints, faces: Ints, low: Ints, high: Ints, boxes: Ints, asked: NDArray[np.bool_], bad: NDArray[np.bool_]
+    p: Ints,
+    faces: Ints,
+    walkers: Ints,
+    members: Ints,
+    place: Ints,
+    members_boxes: Boxes,
+    tree: Boxes,
+    bad: Mask,
 ) -> None:
-    leaves = len(boxes) // 2
-    count = (len(faces) + _LEAF - 1) // _LEAF
-    for leaf in prange(count):
-        if not asked[leaf * _LEAF : leaf * _LEAF + _LEAF].any():
-            continue
-        box = boxes[leaves + leaf]
+    """Mark in ``bad`` the crossing pairs of a walker and a member of the tree; a pair of members is met once.
+
+    Walkers go through the tree in groups as large as its leaves.
+    """
+    leaves = len(tree) // 2
+    for group in prange((len(walkers) + _LEAF - 1) // _LEAF):
+        begin, end = group * _LEAF, min(group * _LEAF + _LEAF, len(walkers))
+        boxes = _boxes(p, faces, walkers[begin:end])
+        whole = np.empty(6, dtype=np.int64)
+        earliest = len(members)
+        for axis in range(3):
+            whole[axis], whole[axis + 3] = boxes[:, axis].min(), boxes[:, axis + 3].max()
+        for n in range(begin, end):
+            s = walkers[n]
+            earliest = min(earliest, place[s])
+            if place[s] >= 0:
+                n0, n1, n2 = _normal(p[faces[s, 0]], p[faces[s, 1]], p[faces[s, 2]])
+                if n0 == 0 and n1 == 0 and n2 == 0:
+                    bad[s] = True
         stack = np.empty(64, dtype=np.int64)
         stack[0] = 1
         size = 1
         while size:
             size -= 1
             node = stack[size]
-            other = boxes[node]
-            if (box[0] > other[3] or box[1] > other[4] or box[2] > other[5]
-                    or other[0] > box[3] or other[1] > box[4] or other[2] > box[5]):  # fmt: skip
+            if _apart(whole, tree[node]):
                 continue
             if node < leaves:
                 stack[size], stack[size + 1] = 2 * node, 2 * node + 1
                 size += 2
                 continue
-            beside = (node - leaves) * _LEAF
-            if node - leaves < leaf and asked[beside : beside + _LEAF].any():
-                continue  # looked at from there
-            for s in range(leaf * _LEAF, min(leaf * _LEAF + _LEAF, len(faces))):
-                for t in range(s + 1 if node - leaves == leaf else beside, min(beside + _LEAF, len(faces))):
-                    if not (asked[s] or asked[t]):
-                        continue
-                    if (low[s, 0] > high[t, 0] or low[s, 1] > high[t, 1] or low[s, 2] > high[t, 2]
-                            or low[t, 0] > high[s, 0] or low[t, 1] > high[s, 1] or low[t, 2] > high[s, 2]):  # fmt: skip
-                        continue
-                    if _cross(p, faces[s], faces[t]):
+            first = (node - leaves) * _LEAF
+            last = min(first + _LEAF, len(members))
+            if last <= earliest:
+                continue  # met from there
+            for n in range(begin, end):
+                s = walkers[n]
+                for m in range(max(first, place[s] + 1), last):
+                    t = members[m]
+                    if t != s and not _apart(boxes[n - begin], members_boxes[m]) and _cross(p, faces[s], faces[t]):
                         bad[s] = bad[t] = True
-        for s in range(leaf * _LEAF, min(leaf * _LEAF + _LEAF, len(faces))):
-            n0, n1, n2 = _normal(p[faces[s, 0]], p[faces[s, 1]], p[faces[s, 2]])
-            if n0 == 0 and n1 == 0 and n2 == 0:
-                bad[s] = True
+
+
+@njit(cache=True)
+def _apart(one: Boxes, two: Boxes) -> bool:
+    return bool(
+        one[0] > two[3] or one[1] > two[4] or one[2] > two[5] or two[0] > one[3] or two[1] > one[4] or two[2] > one[5]
+    )
 
 
 @njit(cache=True)
@@ -158,6 +191,8 @@ def _cross(p: Ints, s: Ints, t: Ints) -> bool:
     if shared == 1:
         a, b, c = p[s[first]], p[s[(first + 1) % 3]], p[s[(first + 2) % 3]]
         d, e = p[t[(second + 1) % 3]], p[t[(second + 2) % 3]]
+        if (_side(a, b, c, d) * _side(a, b, c, e) > 0) or (_side(a, d, e, b) * _side(a, d, e, c) > 0):
+            return False
         # They go on beyond the common corner if the far edge of one reaches the other.
         return _pierces(b, c, a, d, e) or _pierces(d, e, a, b, c)
     u, w = -1, -1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import igl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from dualms.body.body import Body
 from dualms.body.patches import INTERFACE
-from dualms.measure.curvature import mean_curvature
+from dualms.nearest import Nearest
 from dualms.render import camera, decoded, render
 from dualms.surface import Surface
 from dualms.triangles import TriangleMesh
@@ -25,13 +24,15 @@ Array = NDArray[np.float64]
 UNKNOWN = (0.75, 0.75, 0.75)  # where there is no fit, or no wall of its own
 
 
-def maps(surface: Surface, body: Body, path: Path, width: int = 640) -> None:
+def maps(surface: Surface, curvature: Array, body: Body, path: Path, width: int = 640) -> None:
     """Write ``maps.png``.
 
     Parameters
     ----------
     surface, body
         In metres.
+    curvature
+        (V,) mean curvature at the vertices of the surface's mesh, 1/m.
     path
         A PNG file.
     width
@@ -40,7 +41,7 @@ def maps(surface: Surface, body: Body, path: Path, width: int = 640) -> None:
     figure = Figure(figsize=(2 * width / 100, 0.66 * width / 100), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 2)
-    curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces) / 1e3
+    curvature = curvature / 1e3
     limit = float(np.nanquantile(np.abs(curvature), 0.95)) if np.isfinite(curvature).any() else 1.0
     wall = body.hot.mesh.part(body.hot.patch == INTERFACE)
     thickness = 1e3 * _thickness(wall, body)
@@ -63,10 +64,9 @@ def maps(surface: Surface, body: Body, path: Path, width: int = 640) -> None:
 def _thickness(wall: TriangleMesh, body: Body) -> Array:
     """(V,) metres; NaN beside the shell, where the wall has no thickness of its own."""
     cold = body.cold.mesh.part(body.cold.patch == INTERFACE)
-    squared, _, _ = igl.point_mesh_squared_distance(wall.vertices, cold.vertices, cold.faces)
     rim = body.hot.mesh.part(body.hot.patch != INTERFACE)
-    beside, _, _ = igl.point_mesh_squared_distance(wall.vertices, rim.vertices, rim.faces)
-    return np.where(beside < (2 * body.wall_m) ** 2, np.nan, np.sqrt(squared))
+    beside = Nearest(rim).distance(wall.vertices)
+    return np.where(beside < 2 * body.wall_m, np.nan, Nearest(cold).distance(wall.vertices))
 
 
 def _painted(

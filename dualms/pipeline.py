@@ -19,6 +19,7 @@ from dualms.field_file import write as write_field
 from dualms.flow import flow_field
 from dualms.flow_picture import flow_picture
 from dualms.graph.graph import Graph, site_graph
+from dualms.measure.curvature import mean_curvature
 from dualms.measure.report import make_report
 from dualms.ports import resolve_ports
 from dualms.progress import Progress
@@ -109,10 +110,12 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     grid = domain.grid(spec.surface.resolution, padding=4 + ceil(outside * spec.surface.resolution))
     widest = widest_wall(spec.wall, units, domain) or WIDEST_WALL
     band = widest / 2 + BAND_VOXELS * grid.spacing
-    surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell))
+    surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell, outside))
     wall = wall_thickness(spec.wall, units, domain, surface)
     headers = headers_of(domain, spec.fluids, units, spec.shell)
-    body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers, units.metres))
+    most = spec.surface.max_faces
+    body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers, units.metres, most))
+    curvature = watch.run("report", lambda: mean_curvature(surface.mesh.vertices, surface.mesh.faces))
     report = watch.run(
         "report",
         lambda: make_report(
@@ -122,6 +125,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
             len(given.graph.edges),
             field,
             surface,
+            curvature,
             body,
             wall,
             spec,
@@ -131,7 +135,16 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     watch.run(
         "report",
         lambda: results.write_meshes(
-            folder, domain, given.graph, given.partition, surface, body, units, spec.pictures.width, spec.output.formats
+            folder,
+            domain,
+            given.graph,
+            given.partition,
+            surface,
+            curvature,
+            body,
+            units,
+            spec.pictures.width,
+            spec.output.formats,
         ),
     )
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))

@@ -16,7 +16,7 @@ from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.exchange import write_formats
 from dualms.graph.graph import Graph
-from dualms.maps import maps
+from dualms.maps import Array, maps
 from dualms.measure.report import Report
 from dualms.page import report_page
 from dualms.pictures import preview
@@ -35,12 +35,16 @@ def write_meshes(
     graph: Graph,
     partition: Partition,
     surface: Surface,
+    curvature: Array,
     body: Body,
     units: Unit,
     preview_width: int,
     formats: tuple[MeshFormat, ...] = (),
 ) -> None:
-    """Write surface, solid, fluids, patches, scene, pictures (so many pixels across), and other formats asked for."""
+    """Write surface, solid, fluids, patches, scene, pictures (so many pixels across), and other formats asked for.
+
+    ``curvature`` is that of the surface's vertices, 1/m.
+    """
     scaled = in_units(body, units.metres)
     sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
     write_stl(single_precision(sheet), folder / "surface.stl")
@@ -68,7 +72,7 @@ def write_meshes(
         folder / "scene.glb",
     )
     preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", preview_width)
-    maps(surface, body, folder / "maps.png", preview_width // 2)
+    maps(surface, curvature, body, folder / "maps.png", preview_width // 2)
     sections_picture(domain, body, folder / "sections.png")
 
 

@@ -14,7 +14,6 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from dualms.body.body import Body
-from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.flow import potential
 from dualms.triangles import TriangleMesh
@@ -168,8 +167,40 @@ def sections_picture(domain: Domain, body: Body, path: Path, count: int = STATIO
 
 def _slice(mesh: TriangleMesh, turn: Array, point: Array) -> manifold3d.CrossSection:
     """The section of a closed mesh by the plane z = 0 of the turned frame."""
-    moved = TriangleMesh((mesh.vertices - point) @ turn.T, mesh.faces)
-    return Solid.of(moved).manifold.slice(0.0)
+    height = (mesh.vertices - point) @ turn[2]
+    above = height > 0
+    count = above[mesh.faces].sum(axis=1)
+    faces = mesh.faces[(count == 1) | (count == 2)]
+    if len(faces) == 0:
+        return manifold3d.CrossSection()
+    # Each face is crossed on its way up and on its way down; its neighbour meets the same edge the other way round.
+    rows, up = np.arange(len(faces)), above[faces]
+    ends = []
+    for rising in (True, False):
+        corner = ((up != rising) & (np.roll(up, -1, axis=1) == rising)).argmax(axis=1)
+        ends.append(np.sort(np.stack([faces[rows, corner], faces[rows, (corner + 1) % 3]], axis=1), axis=1))
+    keys = [pairs[:, 0] * len(mesh.vertices) + pairs[:, 1] for pairs in ends]
+    order = np.argsort(keys[1])
+    following = order[np.searchsorted(keys[1], keys[0], sorter=order)]
+    low, high = ends[1].T
+    share = (height[low] / (height[low] - height[high]))[:, None]
+    flat = (mesh.vertices[low] + share * (mesh.vertices[high] - mesh.vertices[low]) - point) @ turn[:2].T
+    return manifold3d.CrossSection([flat[loop] for loop in _loops(following)], manifold3d.FillRule.Positive)
+
+
+def _loops(following: NDArray[np.int64]) -> list[list[int]]:
+    """The cycles of a permutation."""
+    after, seen, loops = following.tolist(), [False] * len(following), []
+    for start in range(len(after)):
+        if seen[start]:
+            continue
+        loop, at = [], start
+        while not seen[at]:
+            seen[at] = True
+            loop.append(at)
+            at = after[at]
+        loops.append(loop)
+    return loops
 
 
 def _gap(part: manifold3d.CrossSection) -> float:

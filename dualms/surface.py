@@ -7,8 +7,8 @@ only conversion from the unit cube back to metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -18,6 +18,7 @@ from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import EmptySurface
 from dualms.grid import Grid
+from dualms.nearest import Nearest
 from dualms.triangles import TriangleMesh
 
 Values = NDArray[np.float32]
@@ -32,7 +33,7 @@ class Surface:
     mesh
         Open mesh in metres; its normals point to the cold side.
     sheet
-        The unclipped surface, unit-cube frame.
+        The surface as far outside the envelope as distances are exact and ``band`` more, unit-cube frame.
     distance
         Signed distance to ``sheet`` on ``grid``, unit-cube units, positive on the hot side, clipped to ±``band``.
     depth
@@ -50,8 +51,15 @@ class Surface:
     grid: Grid
     band: float
 
+    @cached_property
+    def nearest(self) -> Nearest:
+        """Nearest points of ``sheet``."""
+        return Nearest(self.sheet)
 
-def extract_surface(domain: Domain, values: Values, grid: Grid, band: float, shell: float = 0.0) -> Surface:
+
+def extract_surface(
+    domain: Domain, values: Values, grid: Grid, band: float, shell: float = 0.0, outside: float | None = None
+) -> Surface:
     """Take the zero level set of a field inside the domain.
 
     Parameters
@@ -65,18 +73,23 @@ def extract_surface(domain: Domain, values: Values, grid: Grid, band: float, she
     band
         Half width in which exact distances to the surface are wanted, unit-cube units.
     shell
-        Distance from the envelope, on both sides, up to which exact distances are wanted.
+        Distance from the envelope, on both sides, up to which exact distances to the envelope are wanted.
+    outside
+        How far outside the envelope exact distances to the surface are wanted, but for two voxels; default ``shell``.
 
     Raises
     ------
     EmptySurface
         If the field has one sign in the whole domain.
     """
-    whole = level_set(values, grid)
+    wanted = (shell if outside is None else outside) + 3 * grid.spacing
+    farthest = wanted + band + 0.5 * grid.spacing
+    depth = domain.depth(grid, max(farthest + 0.5 * grid.spacing, shell + 4 * grid.spacing))
+    # What lies further out is nobody's: a domain that bends fills half of its box.
+    whole = level_set(np.where(depth > -farthest, values, -np.abs(values).max()), grid)
     if len(whole.faces) == 0:
         raise _empty()
-    depth = domain.depth(grid, max(band + grid.spacing, shell + 3 * grid.spacing))
-    distance = signed_distance(whole, values, grid, band, depth > -max(band, shell + 2 * grid.spacing))
+    distance = signed_distance(whole, values, grid, band, depth > -wanted)
     hot = Solid.of(whole)
     clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
     part = clipped.part(origin == hot.origin)
@@ -133,8 +146,7 @@ def signed_distance(
         near |= np.pad(change, [(1, 0) if k == axis else (0, 0) for k in range(3)])
     reach = wanted & (ndimage.distance_transform_edt(~near) <= band / grid.spacing + 1.0)
     distance = np.where(positive, band, -band).astype(np.float32)
-    squared, _, _ = igl.point_mesh_squared_distance(grid.points(reach), surface.vertices, surface.faces)
-    exact = np.minimum(np.sqrt(squared), band)
+    exact = np.minimum(Nearest(surface).distance(grid.points(reach)), band)
     distance[reach] = np.where(positive[reach], exact, -exact)
     return distance
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 Array = NDArray[np.float64]
 
@@ -62,11 +64,27 @@ class TriangleMesh:
         forward, backward = np.sort(start * n + end), np.sort(end * n + start)
         return len(forward) > 0 and bool((forward == backward).all() and (np.diff(forward) > 0).all())
 
+    def shell_volumes(self) -> Array:
+        """(S,) enclosed volumes of the connected parts of a closed mesh; negative for those that bound a cavity."""
+        ends = self.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+        links = coo_array((np.ones(len(ends), dtype=np.int8), tuple(ends.T)), shape=(len(self.vertices),) * 2)
+        _, label = connected_components(links, directed=False)
+        a, b, c = (self.vertices[self.faces[:, k]] - self.vertices[0] for k in range(3))
+        cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+        return np.asarray(np.bincount(label[self.faces[:, 0]], weights=cones), dtype=float)
+
     def part(self, chosen: NDArray[np.bool_]) -> TriangleMesh:
         """The triangles where ``chosen`` (F,) holds, with their vertices only."""
-        used, faces = np.unique(self.faces[chosen], return_inverse=True)
-        return TriangleMesh(self.vertices[used], faces.reshape(-1, 3).astype(np.int64))
+        return used_only(self.vertices, self.faces[chosen])
 
     def moved(self, scale: float, offset: Array) -> TriangleMesh:
         """The mesh with vertices ``offset + scale · v``."""
         return TriangleMesh(offset + scale * self.vertices, self.faces)
+
+
+def used_only(vertices: Array, faces: NDArray[np.int64]) -> TriangleMesh:
+    """A mesh of faces (F, 3) with those of the vertices (V, 3) that they use, in their order."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces.ravel()] = True
+    renumbered = np.cumsum(used) - 1
+    return TriangleMesh(vertices[used], renumbered[faces])

@@ -7,17 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.body.budget import simplified
 from dualms.body.header import LIFT_VOXELS, Header
 from dualms.body.headers import refuse_collisions
 from dualms.body.offset import at_distance
 from dualms.body.openings import core
 from dualms.body.patches import INTERFACE, patch_names, patch_of_faces
-from dualms.body.thickness import Wall, thickness_at
+from dualms.body.thickness import Wall, least, thickness_at
 from dualms.body.walls import channels
 from dualms.body.written import as_written
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked, InvalidBody
+from dualms.nearest import Nearest
+from dualms.spec.body import MAX_FACES
 from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
 
@@ -117,6 +120,7 @@ def make_body(
     outside: bool = False,
     headers: tuple[Header, ...] = (),
     unit_m: float = 1.0,
+    max_faces: int = MAX_FACES,
 ) -> Body:
     """Cut the two sides of the wall out of the envelope.
 
@@ -134,6 +138,8 @@ def make_body(
         Stub pipes on ports.
     unit_m
         Metres of the unit that files will be in: coordinates in it are exact in single precision.
+    max_faces
+        Triangles that the solid should have at most. It has more where the wall's thickness needs them.
 
     Raises
     ------
@@ -150,7 +156,8 @@ def make_body(
     side_of: dict[int, int] = {}
     block = outline.solid
     reach = (shell if outside else 0.0) + 2 * surface.grid.spacing
-    for sign, side in zip((1, -1), channels(surface, wall, reach), strict=True):
+    sides = simplified(channels(surface, wall, reach), least(wall) / 2, max_faces)
+    for sign, side in zip((1, -1), sides, strict=True):
         room = _room(domain, surface, side, shell, sign, outside, outline)
         part, pockets, fluid, origins = _fluid(domain, room, side.origin, outline, sign, shell, unit_m)
         side_of |= dict.fromkeys(origins, sign)
@@ -192,7 +199,9 @@ def _outline(domain: Domain, surface: Surface, envelope: Solid, skin: float, hea
     if skin:
         grown = level_set(surface.depth + np.float32(skin), surface.grid)
         body = Solid.of(
-            at_distance(grown, envelope.mesh(), lambda points: np.full(len(points), skin), surface.grid.spacing)
+            at_distance(
+                grown, Nearest(envelope.mesh()), lambda points: np.full(len(points), skin), surface.grid.spacing
+            )
         )
     refuse_collisions(domain, headers, body, surface.grid, skin)
     pipes = {h.port: h.pipe(surface.grid, skin) for h in headers}
@@ -276,7 +285,7 @@ def _fluid(
         mesh=mesh,
         patch=patch_of_faces(in_unit_cube, origin, interface, outline.skin, pipes, ports, shell),
         patches=patch_names(ports),
-        components=len(part.bodies()),
+        components=int((mesh.shell_volumes() > 0).sum()),
         filled_m3=filled * domain.scale_m**3,
         crossing=crossing,
     )

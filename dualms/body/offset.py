@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import igl
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from dualms.intersections import crossing_triangles
+from dualms.nearest import Nearest
 from dualms.surface import Surface
 from dualms.triangles import TriangleMesh
 
@@ -50,7 +51,7 @@ class _Moved:
 
 def at_distance(
     level: TriangleMesh,
-    sheet: TriangleMesh,
+    sheet: Nearest,
     distance: Callable[[Array], Array],
     spacing: float,
 ) -> TriangleMesh:
@@ -97,9 +98,9 @@ def offset_surface(
     The sag of an edge from a to b, with unit normals m and n at its ends, is (b - a)·(n - m)/8 to second order.
     """
     spacing = surface.grid.spacing
-    moved = _moved(level.vertices, level.faces, surface.sheet, distance, spacing)
+    moved = _moved(level.vertices, level.faces, surface.nearest, distance, spacing)
     for _ in range(ROUNDS):
-        edges, of_face = _edges(moved.faces)
+        edges, of_face = _edges(moved.faces, len(moved.vertices))
         middle = moved.vertices[edges].mean(axis=1)
         wanted = distance(middle)
         off = _sags(moved, edges, middle, wanted, surface, spacing)
@@ -113,7 +114,7 @@ def offset_surface(
 def _moved(
     base: Array,
     faces: Faces,
-    sheet: TriangleMesh,
+    sheet: Nearest,
     distance: Callable[[Array], Array],
     spacing: float,
     facing: Array | None = None,
@@ -122,8 +123,7 @@ def _moved(
 
     The middle of an edge does where a thin wall bends by more than its thickness between two vertices.
     """
-    squared, _, foot = igl.point_mesh_squared_distance(np.ascontiguousarray(base), sheet.vertices, sheet.faces)
-    found, wanted = np.sqrt(squared), distance(base)
+    (found, foot), wanted = sheet.foot(base), distance(base)
     away = found > 0.1 * wanted
     normals = (base - foot) / np.where(away, found, 1.0)[:, None]
     if facing is not None:
@@ -138,12 +138,31 @@ def _moved(
     return _Moved(np.where(near[:, None], foot + wanted[:, None] * normals, base), base, normals, faces)
 
 
-def _edges(faces: Faces) -> tuple[Faces, Faces]:
-    """(E, 2) edges, and (F, 3) the edges of each face: from its first corner to its second, and so on."""
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    count = int(faces.max()) + 1
-    keys, of_face = np.unique(ends[:, 0] * count + ends[:, 1], return_inverse=True)
-    return np.stack([keys // count, keys % count], axis=1), of_face.reshape(-1, 3)
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _edges(faces: Faces, count: int) -> tuple[Faces, Faces]:
+    """(E, 2) edges, and (F, 3) the edges of each face: from its first corner to its second, and so on.
+
+    ``count`` is that of the vertices; the edges of a vertex to those of higher index hang in a list.
+    """
+    first = np.full(count, -1)
+    following = np.empty(3 * len(faces), dtype=np.int64)
+    edges = np.empty((3 * len(faces), 2), dtype=np.int64)
+    of_face = np.empty((len(faces), 3), dtype=np.int64)
+    made = 0
+    for f in range(len(faces)):
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            low, high = min(a, b), max(a, b)
+            e = first[low]
+            while e >= 0 and edges[e, 1] != high:
+                e = following[e]
+            if e < 0:
+                e = made
+                edges[e, 0], edges[e, 1] = low, high
+                following[e], first[low] = first[low], e
+                made += 1
+            of_face[f, k] = e
+    return edges[:made].copy(), of_face
 
 
 def _sags(moved: _Moved, edges: Faces, middle: Array, wanted: Array, surface: Surface, spacing: float) -> Array:
@@ -153,8 +172,7 @@ def _sags(moved: _Moved, edges: Faces, middle: Array, wanted: Array, surface: Su
     off = np.einsum("ij,ij->i", along, n - m) / 8
     cosine = np.einsum("ij,ij->i", m, n)
     bent = np.flatnonzero((cosine < SMOOTH_COSINE) & (m.any(axis=1) | n.any(axis=1)))
-    squared, _, _ = igl.point_mesh_squared_distance(middle[bent], surface.sheet.vertices, surface.sheet.faces)
-    found = np.sqrt(squared) - wanted[bent]
+    found = surface.nearest.distance(middle[bent]) - wanted[bent]
     off[bent] = np.where(np.abs(found) < spacing, found, 0.0)
     return np.asarray(off)
 
@@ -173,7 +191,7 @@ def _split(
     base = moved.base[edges[split]].mean(axis=1)
     start = moved.vertices[edges[split]].mean(axis=1)
     facing = moved.normals[edges[split]].sum(axis=1)
-    new = _moved(start, moved.faces, surface.sheet, distance, surface.grid.spacing, facing)
+    new = _moved(start, moved.faces, surface.nearest, distance, surface.grid.spacing, facing)
     vertices = np.concatenate([moved.vertices, new.vertices])
     faces = _subdivided(moved.faces, middles[of_face], vertices)
     return _Moved(vertices, np.concatenate([moved.base, base]), np.concatenate([moved.normals, new.normals]), faces)

@@ -84,6 +84,11 @@ def greatest(wall: Wall) -> float:
     return wall.most if isinstance(wall, GradedWall) else wall
 
 
+def least(wall: Wall) -> float:
+    """The least thickness of a wall, unit-cube units."""
+    return float(wall.thicknesses.min()) if isinstance(wall, GradedWall) else wall
+
+
 def mean_thickness(wall: Wall, domain: Domain, grid: Grid) -> float:
     """Mean thickness over the domain, unit-cube units."""
     return float(wall.at(grid.points(domain.inside(grid))).mean()) if isinstance(wall, GradedWall) else wall

@@ -107,9 +107,12 @@ def channels(surface: Surface, wall: Wall, reach: float) -> tuple[Solid, Solid]:
         How far outside the envelope the sides are wanted exact.
     """
     half = half_on_grid(surface, wall)
+    # Beyond the reach they end: what is cut off later need not be made.
+    near = surface.depth + np.float32(reach + surface.grid.spacing)
     sides = []
     for name, sign in (("hot", 1), ("cold", -1)):
-        side = level_set(sign * surface.distance - np.float32(half), surface.grid)
+        beyond = sign * surface.distance - np.float32(half)
+        side = level_set(np.where(near > 0, beyond, np.minimum(beyond, near)), surface.grid)
         if len(side.faces) == 0:
             raise WallTooThick(
                 f"A wall of {2 * np.max(half):.3g} of the domain's longest side leaves no room for the {name} fluid.",

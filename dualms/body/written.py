@@ -9,12 +9,14 @@ result is tested exactly.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from itertools import product
 
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.body.collapse import collapsed
+from dualms.body.flip import flipped
 from dualms.booleans import Solid
 from dualms.errors import InvalidBody
 from dualms.intersections import crossing_triangles
@@ -63,17 +65,51 @@ def as_written(solid: Solid, scale: float, offset: NDArray[np.float64]) -> tuple
     vertices = np.rint(vertices / step) * step
     size = float(np.ptp(vertices, axis=0).max())
     mesh, origin = _separated(TriangleMesh(vertices, made.faces), origin, SEPARATION * size)
-    for least in (*WHERE_CROSSING, 0.0):
-        crossing = crossing_triangles(mesh, step)
+    crossing = crossing_triangles(mesh, step)
+    for wide, least in product((False, True), WHERE_CROSSING):
         if not crossing.any():
             break
-        mesh, origin = _collapsed(mesh, origin, least * size, crossing)
+        # Two triangles that did not cross and have not moved do not cross afterwards.
+        mesh, origin, suspect = _mended(mesh, origin, crossing, wide, least * size)
+        crossing = crossing_triangles(mesh, step, suspect)
     if not mesh.is_closed:
         raise InvalidBody(
             "The body does not stay closed once its coordinates are rounded to single precision.",
             advice="Change surface.resolution or the wall's thickness a little.",
         )
     return mesh, origin, int(crossing.sum())
+
+
+def _mended(
+    mesh: TriangleMesh, origin: Ints, crossing: NDArray[np.bool_], wide: bool, least: float
+) -> tuple[TriangleMesh, Ints, NDArray[np.bool_]]:
+    """A try at mending triangles that cross, and (F',) which triangles may cross now.
+
+    Pairs back to back on the same corners are dropped, edges of flat triangles flipped, short edges collapsed; ``wide``
+    takes the neighbours along.
+    """
+    back = _back_to_back(mesh, crossing)
+    mesh, origin, crossing = mesh.part(~back), origin[~back], crossing[~back]
+    mesh, origin, turned = flipped(mesh, origin, least, crossing)
+    crossing = crossing | turned
+    mesh, kept, moved = collapsed(mesh, least, _with_neighbours(mesh, crossing) if wide else crossing)
+    return mesh, origin[kept], crossing[kept] | moved
+
+
+def _back_to_back(mesh: TriangleMesh, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(F,) the chosen triangles that lie in pairs on the same corners: closed bodies without a volume."""
+    index = np.flatnonzero(chosen)
+    _, inverse, count = np.unique(np.sort(mesh.faces[index], axis=1), axis=0, return_inverse=True, return_counts=True)
+    found = np.zeros(len(mesh.faces), dtype=bool)
+    found[index[count[inverse.reshape(-1)] == 2]] = True
+    return found
+
+
+def _with_neighbours(mesh: TriangleMesh, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(F,) the chosen triangles and those that share a corner with them."""
+    touched = np.zeros(len(mesh.vertices), dtype=bool)
+    touched[mesh.faces[chosen]] = True
+    return np.asarray(touched[mesh.faces].any(axis=1))
 
 
 def _separated(mesh: TriangleMesh, origin: Ints, least: float) -> tuple[TriangleMesh, Ints]:
@@ -90,46 +126,5 @@ def _separated(mesh: TriangleMesh, origin: Ints, least: float) -> tuple[Triangle
         )
     )
     simpler, origins = Solid(manifold.simplify(least), -1).faces_by_origin()
-    return _collapsed(simpler, origins, least, np.ones(len(origins), dtype=bool))
-
-
-def _collapsed(mesh: TriangleMesh, origin: Ints, least: float, chosen: NDArray[np.bool_]) -> tuple[TriangleMesh, Ints]:
-    """Edges of ``chosen`` (F,) faces shorter than ``least`` collapsed onto one of their ends, shortest first.
-
-    Where the mesh stays closed: the ends have exactly two neighbours in common (link condition, Dey et al. 1999).
-    """
-    faces = mesh.faces.copy()
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1)[chosen]
-    ends = np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0)
-    length = np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
-    short, length = ends[length < least], length[length < least]
-    touched = np.zeros(len(mesh.vertices), dtype=bool)
-    touched[short] = True
-    fan: dict[int, set[int]] = defaultdict(set)
-    for face in np.flatnonzero(touched[faces].any(axis=1)).tolist():
-        for vertex in faces[face].tolist():
-            fan[vertex].add(face)
-    alive = np.ones(len(faces), dtype=bool)
-    became = np.arange(len(mesh.vertices))
-    for a, b in short[np.lexsort((short[:, 1], short[:, 0], length))].tolist():
-        kept, gone = (int(_last(became, v)) for v in (a, b))
-        common = fan[kept] & fan[gone]
-        around = (set(faces[list(fan[v])].ravel().tolist()) for v in (kept, gone))
-        if kept == gone or len(common) != 2 or len(set.intersection(*around) - {kept, gone}) != 2:
-            continue
-        for face in common:
-            alive[face] = False
-            for vertex in faces[face].tolist():
-                fan[vertex].discard(face)
-        for face in fan[gone]:
-            faces[face] = np.where(faces[face] == gone, kept, faces[face])
-        fan[kept] |= fan.pop(gone)
-        became[gone] = kept
-    left = TriangleMesh(mesh.vertices, faces)
-    return left.part(alive), origin[alive]
-
-
-def _last(became: Ints, vertex: int) -> int:
-    while became[vertex] != vertex:
-        vertex = int(became[vertex])
-    return vertex
+    simpler, kept, _ = collapsed(simpler, least)
+    return simpler, origins[kept]

@@ -40,17 +40,18 @@ class Measured(Figures):
     solid_volume_m3: float
     meshes_not_closed: int
     crossing_triangles: int
+    solid_faces: int
     overhang_area_fraction: float
     solid_volume_fraction: float
     area_density_per_m: float
 
 
-def certificate(measured: Measured, require: RequireSpec) -> tuple[Check, ...]:
+def certificate(measured: Measured, max_faces: int, require: RequireSpec) -> tuple[Check, ...]:
     """Every line: what any body must meet, then what this specification requires."""
-    return (*_sound(measured), *_required(measured, require))
+    return (*_sound(measured, max_faces), *_required(measured, require))
 
 
-def _sound(m: Measured) -> list[Check]:
+def _sound(m: Measured, max_faces: int) -> list[Check]:
     wall, walk = m.wall, m.separation
     lines = [
         _zero("hot and cold: common volume by booleans, m³", m.common_volume_m3),
@@ -63,6 +64,7 @@ def _sound(m: Measured) -> list[Check]:
         _most("volume closure error", m.volume_closure_error, CLOSURE),
         _zero("meshes not closed", m.meshes_not_closed),
         _zero("triangles that cross others, in single precision", m.crossing_triangles),
+        _most("triangles of the solid", m.solid_faces, max_faces),
         _zero("powder trapped in closed cavities, m³", m.trapped_volume_m3),
         _most("loose solid left out, m³", m.loose_volume_m3, LOOSE * m.solid_volume_m3),
         Check(name="overhang below 45°, m²", value=m.overhang.area_m2, limit="stated", passed=True),
@@ -111,4 +113,9 @@ def _least(name: str, value: float, limit: float) -> Check:
 
 
 def _most(name: str, value: float, limit: float) -> Check:
-    return Check(name=name, value=value, limit=f"≤ {limit:.4g}", passed=value <= limit)
+    return Check(
+        name=name,
+        value=value,
+        limit=f"≤ {limit:,}" if isinstance(limit, int) else f"≤ {limit:.4g}",
+        passed=value <= limit,
+    )

@@ -83,11 +83,20 @@ def measure_channel(domain: Domain, room: Mask, grid: Grid, fluid: int) -> Chann
 
 
 def _at_port(points: NDArray[np.float64], room: Mask, grid: Grid) -> NDArray[np.int64]:
-    """(K, 3) voxels of a fluid next to points on a port, no further than the shell can hide them: four voxels."""
-    inside = np.argwhere(room)
-    gap, nearest = cKDTree(grid.origin + grid.spacing * inside).query(points)
-    limit = gap.min() + 2 * grid.spacing
-    return np.asarray(inside[np.unique(nearest[gap <= limit])])
+    """(K, 3) voxels of a fluid next to points on a port, no further than two voxels beyond the nearest."""
+    found = np.zeros((0, 3), dtype=np.int64)
+    for reach in (8, 32, max(room.shape)):
+        low = np.maximum(grid.nearest(points.min(axis=0)[None])[0] - reach, 0)
+        high = grid.nearest(points.max(axis=0)[None])[0] + reach + 1
+        inside = low + np.argwhere(room[tuple(slice(a, b) for a, b in zip(low, high, strict=True))])
+        if len(inside) == 0:
+            continue
+        gap, nearest = cKDTree(grid.origin + grid.spacing * inside).query(points)
+        limit = gap.min() + 2 * grid.spacing
+        found = inside[np.unique(nearest[gap <= limit])]
+        if limit < reach * grid.spacing:
+            break  # what lies further out cannot be nearer to a point than that
+    return found
 
 
 def _dead_ends(region: Mask, source: NDArray[np.int64], sink: NDArray[np.int64]) -> float:
@@ -119,12 +128,21 @@ def _passage(radius: NDArray[np.float64], spacing: float, source: NDArray[np.int
     A ball comes in from outside, so what lies within the widest ball's radius of a port counts as open.
     """
     low, high = 0.0, float(radius.max())
-    near = np.zeros(radius.shape, dtype=bool)
-    near[tuple(source.T)] = near[tuple(sink.T)] = True
-    near = (ndimage.distance_transform_edt(~near) * spacing <= high) & (radius > 0)
+    near = (_around(radius.shape, source, high / spacing) | _around(radius.shape, sink, high / spacing)) & (radius > 0)
     for _ in range(12):
         middle = (low + high) / 2
         regions, _count = ndimage.label((radius >= middle) | near)
         ends = [set(regions[tuple(voxels.T)].tolist()) - {0} for voxels in (source, sink)]
         low, high = (middle, high) if ends[0] & ends[1] else (low, middle)
     return 2 * low
+
+
+def _around(shape: tuple[int, ...], voxels: NDArray[np.int64], reach: float) -> Mask:
+    """Which voxels of a grid lie within ``reach`` voxels of the given (K, 3)."""
+    low = np.maximum(voxels.min(axis=0) - int(reach) - 1, 0)
+    box = tuple(slice(a, b) for a, b in zip(low, voxels.max(axis=0) + int(reach) + 2, strict=True))
+    found = np.zeros(shape, dtype=bool)
+    outside = np.ones(found[box].shape, dtype=bool)
+    outside[tuple((voxels - low).T)] = False
+    found[box] = ndimage.distance_transform_edt(outside) <= reach
+    return found

@@ -14,7 +14,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
@@ -53,7 +53,9 @@ def mean_curvature(vertices: Array, faces: Indices, reach: float = REACH) -> Arr
     edges = _edges(faces)
     start, neighbours = _adjacency(edges, len(vertices))
     length = float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
-    return np.asarray(_fit_all(np.ascontiguousarray(vertices), normals, start, neighbours, reach * length))
+    return np.asarray(
+        _fit_all(np.ascontiguousarray(vertices), normals, start, neighbours, reach * length, get_num_threads())
+    )
 
 
 def curvature_measure(vertices: Array, faces: Indices, radius: float, at: Indices) -> Array:
@@ -154,14 +156,33 @@ def _length_in_ball(a: Array, b: Array, radius: float) -> Array:
     return np.asarray(share * np.sqrt(length2))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _fit_all(vertices: Array, normals: Array, start: Indices, neighbours: Indices, radius: float) -> Array:
+@njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+def _fit_all(vertices: Array, normals: Array, start: Indices, neighbours: Indices, radius: float, parts: int) -> Array:
     count = len(vertices)
     curvature = np.full(count, np.nan)
-    stamp = np.full(count, -1)
-    queue = np.empty(count, dtype=np.int64)
+    for part in prange(parts):
+        _fit(
+            vertices, normals, start, neighbours, radius, part * count // parts, (part + 1) * count // parts, curvature
+        )
+    return curvature
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fit(
+    vertices: Array,
+    normals: Array,
+    start: Indices,
+    neighbours: Indices,
+    radius: float,
+    first: int,
+    last: int,
+    curvature: Array,
+) -> None:
+    """Fit at the vertices from ``first`` to before ``last``, into ``curvature``."""
+    stamp = np.full(len(vertices), -1)
+    queue = np.empty(len(vertices), dtype=np.int64)
     basis = np.empty(6)
-    for v in range(count):
+    for v in range(first, last):
         n = normals[v]
         # A tangent frame, from the axis that is farthest from the normal.
         axis = np.argmin(np.abs(n))
@@ -210,7 +231,6 @@ def _fit_all(vertices: Array, normals: Array, start: Indices, neighbours: Indice
             slope = 1.0 + p * p + q * q
             top = (1.0 + q * q) * right[3] - 2.0 * p * q * right[4] + (1.0 + p * p) * right[5]
             curvature[v] = -top / (2.0 * slope * np.sqrt(slope)) / radius
-    return curvature
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

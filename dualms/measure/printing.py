@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from dualms.body.body import Body
 from dualms.body.patches import INTERFACE
+from dualms.nearest import Nearest
 from dualms.triangles import TriangleMesh
 
 OVERHANG_DEGREES = 45.0  # the usual limit of laser powder-bed fusion without supports
 SAMPLES = 20_000
 DIRECTIONS = 400
+DIRECTIONS_AT_A_TIME = 16  # bounds the memory
 
 Array = NDArray[np.float64]
 
@@ -39,9 +38,9 @@ def wall_samples(body: Body, seed: int) -> tuple[Array, Array]:
     for fluid in (body.hot, body.cold):
         rim = fluid.mesh.part(fluid.patch != INTERFACE)
         if len(rim.faces):
-            keep &= _distance(points, rim) > 2 * body.wall_m
+            keep &= Nearest(rim).distance(points) > 2 * body.wall_m
     points = points[keep] if keep.any() else points
-    return points, _distance(points, cold)
+    return points, Nearest(cold).distance(points)
 
 
 def overhang_fraction(mesh: TriangleMesh, up: Array) -> float:
@@ -64,13 +63,8 @@ def wall_overhang(body: Body, up: Array) -> tuple[float, float]:
 
 def trapped_volume(solid: TriangleMesh) -> float:
     """Volume of the cavities inside a solid that no opening reaches: its inner shells."""
-    n = len(solid.vertices)
-    edges = np.concatenate([solid.faces[:, [0, 1]], solid.faces[:, [1, 2]]])
-    links = coo_array((np.ones(len(edges)), tuple(edges.T)), shape=(n, n))
-    _, label = connected_components(links, directed=False)
-    shells = label[solid.faces[:, 0]]
-    volumes = [solid.part(shells == k).volume for k in np.unique(shells)]
-    return float(-sum(v for v in volumes if v < 0))
+    volumes = solid.shell_volumes()
+    return float(-volumes[volumes < 0].sum())
 
 
 def best_build_direction(mesh: TriangleMesh) -> tuple[Array, float]:
@@ -92,15 +86,14 @@ def _overhangs(mesh: TriangleMesh, directions: Array) -> Array:
     normals = crosses / np.maximum(lengths, 1e-300)[:, None]
     limit = -np.sin(np.radians(OVERHANG_DEGREES)) - 1e-9
     shares = np.empty(len(directions))
-    for k, up in enumerate(directions):
-        down = normals @ up < limit
-        height = mesh.vertices @ up
-        plate = height.min() + 1e-6 * np.ptp(height)
-        down[down] = (height[mesh.faces[down]] > plate).any(axis=1)
-        shares[k] = lengths[down].sum() / lengths.sum()
+    for start in range(0, len(directions), DIRECTIONS_AT_A_TIME):
+        some = directions[start : start + DIRECTIONS_AT_A_TIME]
+        down = lengths @ (normals @ some.T < limit)
+        heights = mesh.vertices @ some.T
+        lowest = heights.min(axis=0)
+        low = heights <= lowest + 1e-6 * (heights.max(axis=0) - lowest)
+        for k in np.flatnonzero(low.sum(axis=0) > 2):  # else no triangle lies there
+            plate = low[:, k][mesh.faces].all(axis=1)
+            down[k] -= lengths[plate & (normals @ some[k] < limit)].sum()
+        shares[start : start + len(some)] = down / lengths.sum()
     return shares
-
-
-def _distance(points: Array, mesh: TriangleMesh) -> Array:
-    squared, _, _ = igl.point_mesh_squared_distance(np.ascontiguousarray(points), mesh.vertices, mesh.faces)
-    return np.asarray(np.sqrt(squared))

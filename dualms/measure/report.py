@@ -16,7 +16,6 @@ from dualms.domain import Domain
 from dualms.field.field import Field
 from dualms.measure.certificate import Check, Measured, certificate
 from dualms.measure.channels import Channel, measure_channel
-from dualms.measure.curvature import mean_curvature
 from dualms.measure.figures import (
     BuildDirection,
     CurvatureFigures,
@@ -60,6 +59,7 @@ class Report(Figures):
     leak_free: bool
     separation: SeparationFigures
     watertight: dict[str, bool]
+    faces: dict[str, int]
     trapped_volume_m3: float
     overhang_area_fraction: float
     overhang: OverhangFigures
@@ -88,6 +88,7 @@ def make_report(
     edges: int,
     field: Field,
     surface: Surface,
+    curvature: NDArray[np.float64],
     body: Body,
     asked: Wall,
     spec: Spec,
@@ -107,6 +108,8 @@ def make_report(
         For its method and device.
     surface, body
         What is measured.
+    curvature
+        (V,) mean curvature at the vertices of the surface's mesh, 1/m.
     asked
         Thickness of the separating wall, unit-cube units.
     spec
@@ -147,18 +150,19 @@ def make_report(
         solid_volume_m3=solid_volume,
         meshes_not_closed=sum(not closed for closed in watertight.values()),
         crossing_triangles=body.crossing + body.hot.crossing + body.cold.crossing,
+        solid_faces=len(body.solid.faces),
         overhang_area_fraction=overhang,
         solid_volume_fraction=solid_volume / volume,
         area_density_per_m=area / volume,
     )
-    lines = certificate(measured, spec.require)
+    lines = certificate(measured, spec.surface.max_faces, spec.require)
     return Report(
         units=units,
         scale_m=domain.scale_m,
         domain_volume_m3=volume,
         area_m2=area,
         area_density_per_m=measured.area_density_per_m,
-        mean_curvature=_curvature(surface, volume, (hot, cold), len(partition.labels)),
+        mean_curvature=_curvature(curvature, volume, (hot, cold), len(partition.labels)),
         wall=wall,
         shell_thickness_m=body.shell_m,
         solid_volume_m3=solid_volume,
@@ -169,6 +173,11 @@ def make_report(
         leak_free=body.leak_m3 == 0.0 and walk.hot_to_cold == 0,
         separation=walk,
         watertight=watertight,
+        faces={
+            "solid": len(body.solid.faces),
+            "fluid_hot": len(body.hot.mesh.faces),
+            "fluid_cold": len(body.cold.mesh.faces),
+        },
         trapped_volume_m3=measured.trapped_volume_m3,
         overhang_area_fraction=overhang,
         overhang=measured.overhang,
@@ -230,9 +239,9 @@ def _wall(domain: Domain, body: Body, asked: Wall, seed: int) -> WallFigures:
 
 
 def _curvature(
-    surface: Surface, volume: float, fluids: tuple[FluidFigures, FluidFigures], sites: int
+    found: NDArray[np.float64], volume: float, fluids: tuple[FluidFigures, FluidFigures], sites: int
 ) -> CurvatureFigures:
-    curvature = np.abs(_inner(mean_curvature(surface.mesh.vertices, surface.mesh.faces)))
+    curvature = np.abs(_inner(found))
     median, p90, p99 = (float(q) for q in np.quantile(curvature, (0.5, 0.9, 0.99)))
     diameter = sum(f.hydraulic_diameter_m for f in fluids) / 2
     return CurvatureFigures(

@@ -9,11 +9,20 @@ from pydantic import Field, model_validator
 
 from dualms.spec.model import Coordinate, Length, Model, Point
 
+MAX_FACES = 3_000_000  # a 3MF of 45 MB
+
 
 class SurfaceSpec(Model):
-    """Extraction of the zero level set."""
+    """Extraction of the zero level set, and how finely the body shows it."""
 
     resolution: int = Field(256, ge=24, le=512, description="Voxels along the longest side. Paper, section 6.1: 256.")
+    max_faces: int = Field(
+        MAX_FACES,
+        ge=1000,
+        le=20_000_000,
+        description="Triangles of the solid at most, as far as the wall keeps its thickness within 3 %; the "
+        "certificate says where not. Ours: a 3MF of 45 MB.",
+    )
 
 
 class PicturesSpec(Model):

@@ -8,7 +8,7 @@ import pytest
 from dualms.errors import EmptySurface
 from dualms.grid import Grid
 from dualms.surface import extract_surface, level_set, signed_distance
-from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid
+from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid, shared_ends
 
 
 def _ball(resolution: int) -> tuple[np.ndarray, Grid]:
@@ -64,3 +64,16 @@ def test_a_field_of_one_sign_is_refused() -> None:
     grid = domain.grid(24)
     with pytest.raises(EmptySurface):
         extract_surface(domain, np.ones(grid.shape, dtype=np.float32), grid, 0.1)
+
+
+def test_distances_are_exact_as_far_outside_as_they_are_wanted() -> None:
+    domain = domain_of(box_mesh(), shared_ends())
+    grid = domain.grid(40, padding=16)
+    values, band, outside = gyroid(grid, 0.4), 0.05, 0.06
+    surface = extract_surface(domain, values, grid, band, 0.02, outside)
+    exact = signed_distance(level_set(values, grid), values, grid, band, np.ones(grid.shape, dtype=bool))
+    wanted = surface.depth > -(outside + 2 * grid.spacing)
+    np.testing.assert_allclose(surface.distance[wanted], exact[wanted], atol=1e-6)
+    # And no further: most of the padding holds no surface.
+    assert len(surface.sheet.faces) < 0.8 * len(level_set(values, grid).faces)
+    np.testing.assert_allclose(surface.nearest.distance(surface.sheet.centroids), 0, atol=1e-12)
