@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from dualms.domain import Domain
 from dualms.flow import potential
-from dualms.grid import Grid
+from dualms.grid import Grid, thinned
 
 Mask = NDArray[np.bool_]
 DEAD = 0.02  # of the median speed of a potential flow: slower counts as a dead end
@@ -84,6 +84,7 @@ def measure_channel(domain: Domain, room: Mask, grid: Grid, fluid: int) -> Chann
 
 def _at_port(points: NDArray[np.float64], room: Mask, grid: Grid) -> NDArray[np.int64]:
     """(K, 3) voxels of a fluid next to points on a port, no further than two voxels beyond the nearest."""
+    points = thinned(points, 0.5 * grid.spacing)  # samples are much finer than most grids
     found = np.zeros((0, 3), dtype=np.int64)
     for reach in (8, 32, max(room.shape)):
         low = np.maximum(grid.nearest(points.min(axis=0)[None])[0] - reach, 0)

