@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: install demo serve test test-all test-hostile check audit format openapi examples bench bench-hydraulics bench-field bench-cut bench-load clean
+.PHONY: install demo serve test test-all test-hostile check audit format openapi examples bench bench-hydraulics bench-field bench-cut bench-bodies bench-load clean
 
 install: .venv/.installed
 
@@ -67,6 +67,11 @@ DOMAIN ?= examples/u_bend.stl
 SPEC ?= examples/u_bend.json
 bench-field-%: install
 	$(BIN)/python benchmarks/field.py $* $(DOMAIN) $(SPEC)
+
+# Seven envelopes at grid 256; the authors' U-shape by argument: make bench-bodies U_SHAPE="--u-shape FILE"
+U_SHAPE ?=
+bench-bodies: install
+	$(BIN)/python benchmarks/bodies.py $(U_SHAPE)
 
 bench-load: install
 	$(BIN)/python -m benchmarks.load --out benchmarks/results/load.json
