@@ -116,6 +116,6 @@ def _most(name: str, value: float, limit: float) -> Check:
     return Check(
         name=name,
         value=value,
-        limit=f"≤ {limit}" if isinstance(limit, int) else f"≤ {limit:.4g}",
+        limit=f"≤ {limit:,}" if isinstance(limit, int) else f"≤ {limit:.4g}",
         passed=value <= limit,
     )
