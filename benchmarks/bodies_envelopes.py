@@ -14,7 +14,7 @@ from dualms.spec import Spec
 
 ROOT = Path(__file__).parent.parent
 FACETS = {"hot": ([{"facet": 0}], [{"facet": 1}]), "cold": ([{"facet": 1}], [{"facet": 0}])}
-SHARE = {"wall": {"volume_fraction": 0.15}, "shell": None}
+SHARE = {"wall": {"volume_fraction": 0.12}}
 
 
 @dataclass(frozen=True)

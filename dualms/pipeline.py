@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dualms import results
 from dualms.body.body import make_body
 from dualms.body.headers import headers_of
@@ -20,7 +23,7 @@ from dualms.flow import flow_field
 from dualms.flow_picture import flow_picture
 from dualms.graph.graph import Graph, site_graph
 from dualms.measure.curvature import mean_curvature
-from dualms.measure.report import make_report
+from dualms.measure.report import Report, make_report
 from dualms.ports import resolve_ports
 from dualms.progress import Progress
 from dualms.reading import read_domain_mesh
@@ -115,10 +118,10 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     headers = headers_of(domain, spec.fluids, units, spec.shell)
     most = spec.surface.max_faces
     body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers, units.metres, most))
-    curvature = watch.run("report", lambda: mean_curvature(surface.mesh.vertices, surface.mesh.faces))
-    report = watch.run(
-        "report",
-        lambda: make_report(
+
+    def measure() -> tuple[NDArray[np.float64], Report]:
+        curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces)
+        return curvature, make_report(
             domain,
             sha256_of(domain_file),
             given.partition,
@@ -130,8 +133,9 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
             wall,
             spec,
             given.units,
-        ),
-    )
+        )
+
+    curvature, report = watch.run("report", measure)
     watch.run(
         "report",
         lambda: results.write_meshes(

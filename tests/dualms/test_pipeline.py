@@ -121,7 +121,7 @@ def test_the_field_s_file_is_zero_on_the_surface_and_signed_in_the_fluids(design
 def test_the_readme_s_example_of_the_field_runs(
     designed: tuple[Path, Recorder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", readme, re.S)
     (tmp_path / "result").symlink_to(designed[0])
     monkeypatch.chdir(tmp_path)
@@ -180,7 +180,7 @@ def test_requirements_are_lines_of_the_certificate(designed: tuple[Path, Recorde
 
 
 def test_the_page_is_self_contained(designed: tuple[Path, Recorder]) -> None:
-    page = (designed[0] / "report.html").read_text()
+    page = (designed[0] / "report.html").read_text(encoding="utf-8")
     assert "data:image/png;base64," in page
     assert "http://" not in page
     assert "https://" not in page
