@@ -47,7 +47,7 @@ def anneal(problem: Problem, labels: Labels, proposals: int, seed: int, stretch:
     return np.asarray(best), np.asarray(history)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _anneal(problem, state, proposals, hot, cold, seed, every):  # type: ignore[no-untyped-def]
     count = state.labels.size
     best = state.labels.copy()

@@ -16,7 +16,7 @@ from dualms.cut.wheels import RINGS, wheels
 from dualms.graph.graph import Graph
 from dualms.grid import Array
 
-LARGEST_LP = 10_000  # edges; above, the bound is that of blocks of the graph
+LARGEST_LP = 5_000  # edges; above, the bound is that of blocks of the graph
 ROUNDING = 1e-6  # far above that of the sums, far below one
 SIGNS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
 

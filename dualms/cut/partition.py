@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +83,13 @@ def max_cut(graph: Graph, spec: PartitionSpec, seed: int, *, progress: Progress 
     InfeasiblePartition
         If no partition was found that keeps the constraints.
     """
-    progress = progress or Silent()
+    with ThreadPoolExecutor(1) as beside:
+        bound = beside.submit(upper_bound, graph)
+        return _search(graph, spec, seed, bound, progress or Silent())
+
+
+def _search(graph: Graph, spec: PartitionSpec, seed: int, bound: Future[float], progress: Progress) -> Partition:
+    """Search while the bound is on its way."""
     problem = problem_of(graph, _least_sizes(len(graph.sites), spec.hot_share))
     labels = first_partition(graph, problem, seed)
     before = cut_weight(graph, labels)
@@ -105,10 +112,9 @@ def max_cut(graph: Graph, spec: PartitionSpec, seed: int, *, progress: Progress 
     if broken:
         raise AssertionError(f"the search broke a constraint: {broken[0]}")
     weight, total = cut_weight(graph, climbed), float(graph.weights.sum())
-    bound = upper_bound(graph)
-    progress.report("partition", 1.0, f"cut {weight:.6g}, at most {bound:.6g}")
+    progress.report("partition", 1.0, f"cut {weight:.6g}, at most {bound.result():.6g}")
     hot, cold = (network_resistance(graph, climbed, fluid) for fluid in (1, -1))
-    return Partition(climbed, weight, total, bound, iterations, history, spec.method, hot, cold)
+    return Partition(climbed, weight, total, bound.result(), iterations, history, spec.method, hot, cold)
 
 
 def _least_sizes(count: int, hot_share: float | None) -> tuple[int, int]:
