@@ -84,7 +84,7 @@ def lloyd(
     energies: list[float] = []
     for iteration in range(MAX_ITERATIONS):
         lists = _neighbour_lists(sites)
-        energy = _assign(points, mass, tensor, spread, sites, *lists, cells) / mass.sum()
+        energy = float((mass * _assign(points, tensor, spread, sites, *lists, cells)).sum() / mass.sum())
         energies.append(energy)
         progress.report("graph", 0.1 + 0.6 * iteration / MAX_ITERATIONS, f"Lloyd {iteration}, energy {energy:.3e}")
         if iteration and energies[-2] - energy < TOLERANCE * energy:
@@ -140,13 +140,13 @@ def _squared(metric, i, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True)
-def _assign(points, mass, metric, spread, sites, near, gap, cells):  # type: ignore[no-untyped-def]
-    """Give each voxel to its nearest site, in place; return the sum of mass times squared distance."""
-    total = 0.0
+@numba.njit(cache=True, parallel=True)
+def _assign(points, metric, spread, sites, near, gap, cells):  # type: ignore[no-untyped-def]
+    """Give each voxel to its nearest site, in place; return the squared distances."""
+    squared = np.empty(points.shape[0])
     reach = near.shape[1]
     complete = reach == sites.shape[0]
-    for i in range(points.shape[0]):
+    for i in numba.prange(points.shape[0]):
         old = cells[i]
         x, y, z = points[i, 0] - sites[old, 0], points[i, 1] - sites[old, 1], points[i, 2] - sites[old, 2]
         best, chosen = _squared(metric, i, x, y, z), old
@@ -168,8 +168,8 @@ def _assign(points, mass, metric, spread, sites, near, gap, cells):  # type: ign
                 if d < best:
                     best, chosen = d, j
         cells[i] = chosen
-        total += mass[i] * best
-    return total
+        squared[i] = best
+    return squared
 
 
 @numba.njit(cache=True)
