@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
-from dualms.spec import Spec
-from dualms.steps import Step
-from worker.views import QueueName
+if TYPE_CHECKING:  # the command line asks for the names of the queues: it need not load what they are for
+    from dualms.spec import Spec
+    from dualms.steps import Step
+    from worker.views import QueueName
 
 QUEUES: tuple[QueueName, ...] = ("cpu", "gpu", "cfd")
 

@@ -30,9 +30,19 @@ from worker.tables import Base
 from worker.views import DesignRecord, DomainRecord
 
 
-def test_migrations_make_the_tables_that_the_code_uses(records: Records) -> None:
+@pytest.mark.parametrize("first", [None, "0001"], ids=["empty", "of the first version"])
+def test_any_start_leads_to_the_tables_that_the_code_uses(settings: Settings, first: str | None) -> None:
+    settings.folder.mkdir()
+    if first is not None:
+        database = Database(settings.database)
+        _upgrade(database, first)
+        database.close()
+    records = Records.open(settings)
     with records.database.engine.connect() as connection:
-        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+        context = MigrationContext.configure(connection)
+        assert compare_metadata(context, Base.metadata) == []
+        assert context.get_current_heads() == (migrations.HEAD,)
+    records.close()
 
 
 def test_processes_that_start_at_once_migrate_once(tmp_path: Path) -> None:
@@ -148,11 +158,7 @@ def test_processes_write_at_once_without_locking_each_other_out(tmp_path: Path) 
 def test_records_of_the_first_version_open_with_the_newest(tmp_path: Path) -> None:
     path = tmp_path / "dualms.sqlite3"
     database = Database(f"sqlite:///{path}")
-    config = Config()
-    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
-    with database.engine.connect() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0001")
+    _upgrade(database, "0001")
     database.close()
     spec = json.dumps(small_spec().model_dump(mode="json"))
     with sqlite3.connect(path) as old:
@@ -185,3 +191,12 @@ def test_records_of_the_first_version_open_with_the_newest(tmp_path: Path) -> No
     assert (found.id, found.status) == (values[0], "queued")
     assert Leases(records).claim("cpu", "w") is not None
     records.close()
+
+
+def _upgrade(database: Database, version: str) -> None:
+    """What the migrations make of an empty database, up to a version."""
+    config = Config()
+    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
+    with database.engine.connect() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, version)
