@@ -8,11 +8,15 @@ import statistics
 import subprocess
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from sqlalchemy import select
+
+from worker import tables
 from worker.records import Records
 from worker.views import DesignRecord, EventRecord
 
@@ -29,6 +33,14 @@ class Observed:
     api_back_s: list[float] = field(default_factory=list)
     finals: dict[str, int] = field(default_factory=dict)  # design -> version at which it was first seen final
     sent: list[str] = field(default_factory=list)  # designs in the order of their answers
+
+
+class State(NamedTuple):
+    """Where a design stands."""
+
+    id: str
+    version: int
+    status: str
 
 
 def figures(records: Records, jobs: int, seen: Observed) -> dict[str, Any]:
@@ -75,6 +87,13 @@ def all_designs(records: Records) -> list[DesignRecord]:
         found += page.items
         if (cursor := page.next) is None:
             return found
+
+
+def all_states(records: Records) -> Sequence[State]:
+    """Id, version and status of every design, without the rest."""
+    d = tables.Design
+    with records.database.read() as session:
+        return [State(*row) for row in session.execute(select(d.id, d.version, d.status))]
 
 
 def provenance() -> dict[str, Any]:

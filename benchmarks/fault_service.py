@@ -16,8 +16,7 @@ import psutil
 
 PARTS = {
     "api": "service.listen",
-    "worker": "service.cli worker",
-    "station": "worker.station",
+    "worker": "worker.station",
     "step": "worker.step",
     "broker": "valkey-server",
 }

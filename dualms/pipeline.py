@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dualms import results
 from dualms.body.body import make_body
 from dualms.body.headers import headers_of
 from dualms.body.walls import graded_wall, wall_thickness, widest_wall
@@ -104,6 +103,8 @@ def solve(folder: Path, spec: Spec, progress: Progress, device: str) -> None:
 
 def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> None:
     """Field → surface, body, report, pictures."""
+    from dualms import results  # what draws costs a second to load, and the first two steps draw nothing
+
     watch = Stopwatch(progress)
     given = load(Prepared, folder / "prepared.safetensors")
     field = load_field(folder / "field.safetensors")
@@ -156,6 +157,8 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
 
 def evaluate(folder: Path, spec: Spec, progress: Progress) -> None:
     """Field → solved pressure drop and heat transfer, joined to the report."""
+    from dualms import results
+
     if spec.evaluation is None:
         raise TypeError("the specification asks for no evaluation")
     asked = spec.evaluation

@@ -17,6 +17,8 @@ from service.problems import ProblemDocument
 
 Schemas = dict[str, Any]
 
+_KEY = "key"
+_BEARER = {"type": "http", "scheme": "bearer", "description": "An API key: `dualms keys create`."}
 _TEMPLATE = "#/components/schemas/{model}"
 
 
@@ -47,9 +49,19 @@ def _document(app: FastAPI) -> dict[str, Any]:
     schemas.update(problem["$defs"])
     _, sent = models_json_schema([(DesignIn, "validation")], ref_template=_TEMPLATE)
     schemas.update(_told_apart(sent["$defs"], schemas))
+    _say_that_keys_are_asked_for(document)
     document["paths"]["/v1/designs"]["post"]["requestBody"] = _design_body(schemas)
     _complete_domain_form(document["paths"]["/v1/domains"]["post"]["requestBody"]["content"], schemas)
     return document
+
+
+def _say_that_keys_are_asked_for(document: dict[str, Any]) -> None:
+    """Every call under /v1 asks for a key: :func:`service.access.guard` reads it itself."""
+    document["components"]["securitySchemes"] = {_KEY: _BEARER}
+    for path, operations in document["paths"].items():
+        if path.startswith("/v1/"):
+            for operation in operations.values():
+                operation["security"] = [{_KEY: []}]
 
 
 def _told_apart(sent: Schemas, known: Schemas) -> Schemas:

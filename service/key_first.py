@@ -5,7 +5,7 @@ from __future__ import annotations
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.access import READING, Access
+from service.access import READING, Access, bearer
 from service.problems import Problem
 
 
@@ -18,9 +18,8 @@ class KeyFirst:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and scope["method"] not in READING and scope["path"].startswith("/v1/"):
             access: Access = scope["app"].state.access
-            kind, _, secret = Headers(scope=scope).get("authorization", "").partition(" ")
             try:
-                await access.caller(secret if kind.lower() == "bearer" and secret else None, "write")
+                await access.caller(bearer(Headers(scope=scope).get("authorization")), "write")
             except Problem as problem:
                 problem.headers = {**(problem.headers or {}), "Connection": "close"}
                 await problem.response()(scope, receive, send)

@@ -1,8 +1,8 @@
 """``dualms serve``: broker, workers and API on one machine, from one command.
 
 This process holds the data folder's lock and the listening socket, and starts three kinds of children: the bundled
-Valkey (unless ``DUALMS_REDIS_URL`` names a broker), the worker and the API. A killed child is started again; the
-socket outlives the API, so that clients wait instead of being refused. Order of stopping: API, worker, broker.
+Valkey (unless ``DUALMS_REDIS_URL`` names a broker), the API and one worker a queue. A killed child is started again;
+the socket outlives the API, so that clients wait instead of being refused. Order of stopping: API, workers, broker.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import fcntl
 import hashlib
 import os
 import shutil
-import signal
 import socket
 import sys
 import tempfile
@@ -24,8 +23,10 @@ from typing import IO
 import psutil
 
 from service.loopback import names_this_machine
-from service.processes import Child
 from worker.gpus import gpus
+from worker.main import queue_process
+from worker.processes import Child, StopSignals, stop_all
+from worker.settings import Settings as WorkerSettings
 
 MAX_SOCKET_PATH = 100  # sun_path holds 108 bytes on Linux, 104 on macOS
 BROKER_READY_S = 10.0
@@ -73,43 +74,45 @@ def serve(plan: Plan, say: Callable[[str], None] = print) -> None:
     CannotServe
         If the folder is served already, the port is taken, or the address is not allowed.
     """
-    stop = _StopSignals()
+    stop = StopSignals()
     access = check_address(plan.host, plan.allow_remote, plan.keys)
     plan.data.mkdir(parents=True, exist_ok=True)
     lock = _lock(plan.data)
     listener = listen(plan.host, plan.port)
-    children: list[Child] = []
+    broker: list[Child] = []
+    api: list[Child] = []
+    workers: list[Child] = []
     try:
         logs = plan.data / "logs"
         logs.mkdir(exist_ok=True)
         url = plan.redis_url
         if url is None:
-            broker, url = _broker(plan.data, logs)
-            children.append(broker)
-            broker.start()
+            child, url = _broker(plan.data, logs)
+            broker.append(child)
+            child.start()
         queues = plan.queues or machine_queues()
         env = {**access, "DUALMS_REDIS_URL": url, "DUALMS_DATA_DIR": str(plan.data.resolve()), "PYTHONUNBUFFERED": "1"}
-        children.append(_api(listener, logs, env))
-        children[-1].start()
-        if plan.redis_url is None:
-            _wait_for_broker(children[0], url, stop)
-        children.append(_worker(queues, logs, env))
-        children[-1].start()
+        api.append(_api(listener, logs, env))
+        api[0].start()
+        for child in broker:
+            _wait_for_broker(child, url, stop)
+        for queue in queues:
+            workers.append(queue_process(queue, WorkerSettings(), log=logs / "worker.log", env=env))
+            workers[-1].start()
         host, port = listener.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
         say(f"DualMS listens at http://{shown}:{port}  (data and logs in {plan.data}; queues {', '.join(queues)})")
         say("Stop with Ctrl-C; what is queued or running goes on at the next start.")
         while not stop.asked:
-            for child in children:
+            for child in (*broker, *api, *workers):
                 if (news := child.restart_if_dead()) is not None:
                     say(news)
             stop.wait(POLL_S)
-        say("Stopping: API, worker, broker…")
+        say("Stopping: API, workers, broker…")
     finally:
         listener.close()
-        order = {"api": 0, "worker": 1, "broker": 2}
-        for child in sorted(children, key=lambda c: order[c.name]):
-            child.stop()
+        for children in (api, workers, broker):
+            stop_all(children)
         lock.close()
     say("Stopped.")
 
@@ -190,23 +193,6 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-class _StopSignals:
-    """SIGINT and SIGTERM as a flag; a second one ends this process at once, and the kernel ends its children."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._ask)
-
-    def _ask(self, number: int, frame: object) -> None:
-        self.asked = True
-        signal.signal(number, signal.SIG_DFL)
-
-    def wait(self, seconds: float) -> None:
-        if not self.asked:
-            time.sleep(seconds)
-
-
 def _lock(data: Path) -> IO[str]:
     file = (data / "serve.lock").open("a+")
     try:
@@ -262,7 +248,7 @@ def _end_stale_broker(pidfile: Path, path: Path) -> None:
     path.unlink(missing_ok=True)
 
 
-def _wait_for_broker(broker: Child, url: str, stop: _StopSignals) -> None:
+def _wait_for_broker(broker: Child, url: str, stop: StopSignals) -> None:
     path = url.removeprefix("unix://")
     deadline = time.monotonic() + BROKER_READY_S
     while not stop.asked:
@@ -281,8 +267,3 @@ def _api(listener: socket.socket, logs: Path, env: dict[str, str]) -> Child:
     fd = listener.fileno()
     command = [sys.executable, "-m", "service.listen", str(fd)]
     return Child("api", command, logs / "api.log", grace_s=8, pass_fds=(fd,), env=env)
-
-
-def _worker(queues: tuple[str, ...], logs: Path, env: dict[str, str]) -> Child:
-    command = [sys.executable, "-m", "service.cli", "worker", "--queues", ",".join(queues)]
-    return Child("worker", command, logs / "worker.log", grace_s=25, env=env)

@@ -15,6 +15,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from dualms.errors import DualMSError
 from worker.artifacts import StoreAway, StoreFull
@@ -232,6 +233,11 @@ def install(app: FastAPI) -> None:
             headers["Allow"] = ", ".join(methods)
         detail = str(error.detail) if code == "malformed-request" else f"{request.method} {request.url.path}"
         return Problem(code, detail, "GET /openapi.json lists the calls.", headers=headers).response()
+
+    @app.exception_handler(ClientDisconnect)
+    async def _gone(request: Request, error: ClientDisconnect) -> Response:
+        # Nobody reads this; but a client that goes away is no failure of the service.
+        return Problem("malformed-request", "The connection ended before the body did.").response()
 
     @app.exception_handler(OperationalError)
     async def _store_away(request: Request, error: OperationalError) -> Response:

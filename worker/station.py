@@ -29,6 +29,7 @@ from worker.gpus import gpus
 from worker.host import started_at, this_host
 from worker.leases import Leases
 from worker.logs import log_to_stderr
+from worker.patience import AWAY
 from worker.queue import Wakeups, celery_app
 from worker.reaper import Reaper
 from worker.records import Records
@@ -42,6 +43,7 @@ from worker.webhooks import Deliverer
 
 HEARTBEAT_S = 5.0
 WEBHOOK_S = 1.0
+LINGER_S = 1.0  # what Celery gets to acknowledge its last message, once nothing runs
 log = logging.getLogger(__name__)
 
 
@@ -80,14 +82,32 @@ def main() -> None:
     )
     register(app, station)
 
+    ended, left = threading.Event(), threading.Event()
+
+    def leave() -> None:
+        """Wait until what runs has ended or was handed back, and leave; Celery may wait for a broker for ever."""
+        try:
+            registration.drain()
+            for _ in range(concurrency):
+                station.free.acquire(timeout=settings.drain_s + settings.grace_s + 5)
+            ended.set()  # no heartbeat any more
+            registration.end()
+        except AWAY:
+            log.exception("the records are away; what this worker held is taken over when its lease runs out")
+        if not left.wait(LINGER_S):
+            log.warning("leaving without a word to the broker")
+            os._exit(0)
+
+    # A thread, since this is called in a signal's handler.
+    leaving = threading.Thread(target=leave, name="leaving", daemon=True)
+
     def on_stop(**_: object) -> None:
-        drain.set()
-        # Aside: this is a signal's handler, and the records may be locked for a while.
-        threading.Thread(target=registration.drain, name="draining", daemon=True).start()
+        if not drain.is_set():
+            drain.set()
+            leaving.start()
 
     signals.worker_shutting_down.connect(on_stop, weak=False)
     signals.setup_logging.connect(lambda **_: None, weak=False)
-    ended = threading.Event()
     every(HEARTBEAT_S, registration.beat, ended, "heartbeat")
     every(settings.reap_s, reaper.run_once, ended, "reaper")
     # Unasked, too: messages get lost, and a consumer may lose its place when the broker goes away and comes back.
@@ -108,11 +128,9 @@ def main() -> None:
     try:
         worker.start()
     finally:  # it raises where it is stopped while it looks for the broker
-        drain.set()
-        ended.set()
-        for _ in range(concurrency):  # what runs without a message's asking ends or is handed back, too
-            station.free.acquire(timeout=settings.drain_s + settings.grace_s + 5)
-        registration.end()
+        left.set()
+        on_stop()
+        leaving.join()
     sys.exit(0)
 
 

@@ -9,7 +9,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
 from service.access import CallerDep, note
-from service.backend import BackendDep, design_not_found
+from service.backend import BackendDep, backend_of, design_not_found
 from service.conditional import wait_s
 from service.designs.following import design_answer, follow, wait_for
 from service.designs.listing import Filters, list_page
@@ -62,12 +62,13 @@ def list_designs(backend: BackendDep, caller: CallerDep, filters: Annotated[Filt
     "/{design_id}", response_model=DesignOut, responses={304: {"description": "Unchanged."}, **answers(404, 422)}
 )
 async def get_design(
-    backend: BackendDep,
+    request: Request,
     design_id: DesignId,
     if_none_match: Annotated[str | None, Header(description="304 while the ETag is this one.")] = None,
     prefer: Prefer = None,
 ) -> Response:
     """Where a design stands; with `Prefer: wait=N` when it ends, or, with If-None-Match too, when it changes."""
+    backend = await backend_of(request)  # not injected: this is the call that is made most, and must be quick
     return await follow(backend, design_id, wait_s(prefer, backend.settings.max_wait_s), if_none_match)
 
 

@@ -19,7 +19,7 @@ import psutil
 import pytest
 import trimesh
 
-from service.processes import with_parent
+from worker.processes import with_parent
 
 START_S = 120.0  # a busy machine takes long to import; the claim of 2 s is that of benchmarks.load
 

@@ -83,7 +83,7 @@ def test_only_the_parent_killed_takes_its_children_along(serve_at: Serve, tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", ["service.listen", "valkey", "service.cli worker"])
+@pytest.mark.parametrize("victim", ["service.listen", "valkey", "worker.station"])
 def test_a_killed_part_is_started_again(
     serve_at: Serve, tmp_path: Path, box: Path, spec: dict[str, Any], victim: str
 ) -> None:

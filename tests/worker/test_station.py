@@ -94,6 +94,24 @@ def test_a_stopped_worker_hands_back_what_runs(cluster: Cluster) -> None:
     cluster.records.cancel(made.id)
 
 
+def test_a_worker_that_is_stopped_while_the_broker_is_away_hands_back(tmp_path: Path) -> None:
+    cluster = Cluster(tmp_path, DUALMS_DRAIN_S="1")
+    try:
+        cluster.start_worker()
+        made = cluster.submit(partition={"seconds": 600})
+        wait_for(lambda: cluster.design(made.id).stage == "partition")
+        cluster.broker.kill()
+        wait_for(lambda: "Cannot connect" in (tmp_path / "worker.log").read_text())
+        took = cluster.stop_worker()
+        assert took < 1 + 5 + 5, "it ends by itself, before its parent would kill it"
+        record = cluster.design(made.id)
+        assert (record.status, record.step, record.tries) == ("running", "prepare", 0)
+        assert cluster.steps() == []
+        assert cluster.records.workers() == ()
+    finally:
+        cluster.close()
+
+
 def test_limits_end_a_step_and_say_so(tmp_path: Path) -> None:
     cluster = Cluster(tmp_path, DUALMS_STEP_MEMORY_BYTES=str(60 << 20))
     try:

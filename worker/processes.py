@@ -1,6 +1,6 @@
 """The processes of one machine under one roof: started, watched, started again, stopped in order.
 
-The parent is the lock's holder and nothing else; whatever it starts dies with it (``PR_SET_PDEATHSIG`` on Linux).
+The parent does nothing else; whatever it starts dies with it (``PR_SET_PDEATHSIG`` on Linux).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -40,9 +41,9 @@ class Child:
     command
         Program (absolute path) and arguments.
     log
-        File that gets its output.
+        File that gets its output; None: it shares the parent's.
     grace_s
-        Time between SIGTERM and SIGKILL when it is stopped.
+        Time between being asked to end and SIGKILL.
     pass_fds
         Descriptors that it inherits.
     stop_signal
@@ -51,7 +52,7 @@ class Child:
 
     name: str
     command: Sequence[str]
-    log: Path
+    log: Path | None = None
     grace_s: float = 10.0
     pass_fds: tuple[int, ...] = ()
     stop_signal: signal.Signals = signal.SIGTERM
@@ -59,15 +60,16 @@ class Child:
     process: subprocess.Popen[bytes] | None = None
     started: float = 0.0
     failures: int = 0
+    _end_by: float | None = None
 
     def start(self) -> None:
         """Start it, in a session of its own so that a terminal's Ctrl-C reaches only the parent."""
-        with self.log.open("ab") as out:
+        with nullcontext() if self.log is None else self.log.open("ab") as out:
             self.process = subprocess.Popen(
                 with_parent(self.command, self.stop_signal),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
-                stderr=subprocess.STDOUT,
+                stderr=out if out is None else subprocess.STDOUT,
                 env={**os.environ, **self.env},
                 pass_fds=self.pass_fds,
                 start_new_session=True,
@@ -92,7 +94,14 @@ class Child:
         how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         self.failures += 1
         self.start()
-        return f"{self.name} ended ({how}) and was started again; its output is in {self.log}"
+        where = "" if self.log is None else f"; its output is in {self.log}"
+        return f"{self.name} ended ({how}) and was started again{where}"
+
+    def ask_to_stop(self) -> None:
+        """Ask it to end, once; :meth:`stop` waits for it."""
+        if self.process is not None and self._end_by is None:
+            self._end_by = time.monotonic() + self.grace_s
+            self.process.send_signal(self.stop_signal)
 
     def stop(self) -> None:
         """End it and everything below it: politely, then for sure."""
@@ -100,9 +109,9 @@ class Child:
             return
         family = _family(self.process.pid)
         if self.running:
-            self.process.send_signal(self.stop_signal)
+            self.ask_to_stop()
             try:
-                self.process.wait(self.grace_s)
+                self.process.wait(max((self._end_by or 0.0) - time.monotonic(), 0.1))
             except subprocess.TimeoutExpired:
                 family += [p for p in _family(self.process.pid) if p not in family]
                 self.process.kill()
@@ -113,14 +122,40 @@ class Child:
             except psutil.NoSuchProcess:
                 continue
         psutil.wait_procs(family, timeout=5)
-        self.process = None
+        self.process = self._end_by = None
 
     def tail(self, lines: int = 5) -> str:
         """The last lines of its log."""
         try:
-            return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
+            return "" if self.log is None else "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
+
+
+def stop_all(children: Sequence[Child]) -> None:
+    """End several at the same time."""
+    for child in children:
+        child.ask_to_stop()
+    for child in children:
+        child.stop()
+
+
+class StopSignals:
+    """SIGINT and SIGTERM as a flag; a second one ends this process at once, and the kernel ends its children."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, number: int, frame: object) -> None:
+        self.asked = True
+        signal.signal(number, signal.SIG_DFL)
+
+    def wait(self, seconds: float) -> None:
+        """Sleep, unless it was asked."""
+        if not self.asked:
+            time.sleep(seconds)
 
 
 def with_parent(command: Sequence[str], number: signal.Signals = signal.SIGTERM) -> list[str]:
