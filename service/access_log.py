@@ -6,10 +6,9 @@ Reads that go well are not logged: status polls are most of what the API does, a
 from __future__ import annotations
 
 import logging
-import time
 from typing import Any
 
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Scope
 
 log = logging.getLogger("dualms.access")
 
@@ -17,35 +16,20 @@ READING = frozenset({"GET", "HEAD", "OPTIONS"})
 REFUSED = frozenset({401, 403, 429})
 
 
-class AccessLog:
-    """Logs method, path, status, duration, key and job of what is worth a line."""
+def write(scope: Scope, status: int, seconds: float, place: str) -> None:
+    """Log method, path, status, duration, key and job of a request that has ended, if it is worth a line.
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        began, status = time.perf_counter(), 500
-        place = ""
-
-        async def noting(message: Message) -> None:
-            nonlocal status, place
-            if message["type"] == "http.response.start":
-                status = message["status"]
-                if scope["method"] == "POST":
-                    place = dict(message["headers"]).get(b"location", b"").decode("latin-1")
-            await send(message)
-
-        try:
-            await self.app(scope, receive, noting)
-        finally:
-            if scope["method"] not in READING or status in REFUSED or status >= 500:
-                _write(scope, status, time.perf_counter() - began, place)
-
-
-def _write(scope: Scope, status: int, seconds: float, place: str) -> None:
+    Parameters
+    ----------
+    scope
+        The request.
+    status, seconds
+        How it was answered, and how long it took.
+    place
+        Address of what it has made, if anything.
+    """
+    if scope["method"] in READING and status not in REFUSED and status < 500:
+        return
     caller = scope.get("state", {}).get("caller")
     key = getattr(caller, "key", None)
     detail: dict[str, Any] = {"status": status, "ms": round(1e3 * seconds, 1)}

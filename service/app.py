@@ -8,12 +8,12 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import Depends, FastAPI
+from fastapi.telemetry import TelemetryConfig
 from prometheus_client import CollectorRegistry
 
 from dualms import __version__
 from service import problems, system
 from service.access import Access, guard
-from service.access_log import AccessLog
 from service.artifacts.endpoints import router as artifacts
 from service.backend import open_backend
 from service.designs.endpoints import router as designs
@@ -23,9 +23,9 @@ from service.gauges import RecordsCollector
 from service.key_first import KeyFirst
 from service.limits import BodyLimit
 from service.metrics import Meter
+from service.observing import Observing
 from service.settings import Settings
 from service.studies.endpoints import router as studies
-from service.tracing import RequestSpans
 from worker.settings import Settings as WorkerSettings
 from worker.tracing import Tracing, open_tracing
 
@@ -69,6 +69,7 @@ def create_app(
         summary="Two-fluid heat exchangers whose separating surface belongs to the envelope.",
         license_info={"name": "MIT", "identifier": "MIT"},
         lifespan=lifespan,
+        telemetry=_telemetry(traces),
         docs_url=None,  # FastAPI's pages load scripts from elsewhere
         redoc_url=None,
     )
@@ -81,11 +82,14 @@ def create_app(
     describe(app)
     app.add_middleware(KeyFirst)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
-    app.add_middleware(AccessLog)
-    app.add_middleware(Meter, registry=registry)
-    if traces.on:
-        app.add_middleware(RequestSpans, tracing=traces)
+    app.add_middleware(Observing, meter=Meter(registry))
     return app
+
+
+def _telemetry(traces: Tracing) -> TelemetryConfig:
+    """Spans of requests where traces are asked for; figures are Prometheus's, and the log is ours."""
+    off: TelemetryConfig = {"metrics": False, "logs": False, "operation_spans": False}
+    return {**off, "tracing": traces.on, **({"tracer_provider": traces.provider} if traces.on else {})}
 
 
 app = create_app()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from functools import lru_cache
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Scope
 
 LATENCIES = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0)
 
@@ -14,33 +13,19 @@ LATENCIES = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60
 class Meter:
     """Counts and times requests by route, method and status; long polls and streams fall into the last buckets."""
 
-    def __init__(self, app: ASGIApp, registry: CollectorRegistry) -> None:
-        self.app = app
+    def __init__(self, registry: CollectorRegistry) -> None:
         self.requests = Counter("dualms_http_requests", "Requests", ["route", "method", "status"], registry=registry)
         self.seconds = Histogram(
             "dualms_http_request_seconds", "Time to the last byte", ["route"], buckets=LATENCIES, registry=registry
         )
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        began, status = time.perf_counter(), 500
-
-        async def noting(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-            await send(message)
-
-        try:
-            await self.app(scope, receive, noting)
-        finally:
-            route = getattr(scope.get("route"), "path", "none")
-            method = scope["method"] if scope["method"] in _METHODS else "other"
-            count, spread = self._of(route, method, status)
-            count.inc()
-            spread.observe(time.perf_counter() - began)
+    def count(self, scope: Scope, status: int, seconds: float) -> None:
+        """Count one request that has ended."""
+        route = getattr(scope.get("route"), "path", "none")
+        method = scope["method"] if scope["method"] in _METHODS else "other"
+        count, spread = self._of(route, method, status)
+        count.inc()
+        spread.observe(seconds)
 
     @lru_cache(maxsize=1024)  # noqa: B019 - one meter lives as long as its app
     def _of(self, route: str, method: str, status: int) -> tuple[Counter, Histogram]:

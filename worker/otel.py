@@ -14,11 +14,10 @@ from opentelemetry.trace import SpanKind, Status, StatusCode
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 import dualms
-from worker.tracing import Attributes, Kind, Tracing
+from worker.tracing import Attributes, Tracing
 
 _PROPAGATOR = TraceContextTextMapPropagator()
 _NANOSECONDS = 1e9
-_KINDS = {"server": SpanKind.SERVER, "consumer": SpanKind.CONSUMER}
 
 
 def exported(process: str) -> Traces:
@@ -35,23 +34,20 @@ class Traces(Tracing):
     on = True
 
     def __init__(self, provider: TracerProvider) -> None:
+        self.provider = provider
         self._tracer = provider.get_tracer("dualms", dualms.__version__)
 
     @contextmanager
-    def span(self, name: str, kind: Kind, parent: str | None = None) -> Iterator[None]:
+    def span(self, name: str, parent: str | None = None) -> Iterator[None]:
         """A span around the block; an exception that passes is noted in it."""
         context = _PROPAGATOR.extract({"traceparent": parent}) if parent is not None else None
-        with self._tracer.start_as_current_span(name, context, _KINDS[kind]):
+        with self._tracer.start_as_current_span(name, context, SpanKind.CONSUMER):
             yield
 
     def past(self, name: str, began: float, ended: float) -> None:
         """A span with the times that are given."""
         span = self._tracer.start_span(name, start_time=int(began * _NANOSECONDS))
         span.end(int(ended * _NANOSECONDS))
-
-    def rename(self, name: str) -> None:
-        """Rename the span at hand."""
-        trace.get_current_span().update_name(name)
 
     def note(self, attributes: Attributes) -> None:
         """Add attributes to the span at hand."""

@@ -104,7 +104,7 @@ def _take_first(station: Station) -> bool:
 @contextmanager
 def _span(station: Station, lease: Lease) -> Iterator[None]:
     """The step's span, in the trace of the request that asked for the design; in it the time in the queue."""
-    with station.tracing.span(f"step {lease.step}", "consumer", lease.trace):
+    with station.tracing.span(f"step {lease.step}", lease.trace):
         facts: Attributes = {"dualms.job_id": lease.id, "dualms.queue": station.queue, "dualms.try": lease.design.tries}
         station.tracing.note(facts)
         station.tracing.past(f"queue {station.queue}", lease.waiting_since, time.time())

@@ -8,26 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
-from typing import Literal
+from typing import Any
 
 Attributes = Mapping[str, str | int | float | bool]
-Kind = Literal["server", "consumer"]
 
 
 class Tracing:
     """No traces: what is used unless :func:`open_tracing` was asked for more."""
 
     on = False
+    provider: Any = None  # OpenTelemetry's, for what makes spans of its own (FastAPI does for requests)
 
-    def span(self, name: str, kind: Kind, parent: str | None = None) -> AbstractContextManager[None]:
+    def span(self, name: str, parent: str | None = None) -> AbstractContextManager[None]:
         """A span around the block; ``parent`` is a context (by default the span around this one)."""
         return nullcontext()
 
     def past(self, name: str, began: float, ended: float) -> None:
         """A span within the one at hand, of what is over; times in seconds since 1970."""
-
-    def rename(self, name: str) -> None:
-        """Give the span at hand a better name."""
 
     def note(self, attributes: Attributes) -> None:
         """Say more about the span at hand."""

@@ -19,6 +19,7 @@ import psutil
 import pytest
 import trimesh
 
+from tests.service.designs import small
 from worker.processes import with_parent
 
 START_S = 120.0  # a busy machine takes long to import; the claim of 2 s is that of benchmarks.load
@@ -178,6 +179,17 @@ def spec(plain_spec: dict[str, Any]) -> dict[str, Any]:
 def domain_id(served: Served, box: Path) -> str:
     """The box, uploaded."""
     return str(served.upload(box).json()["id"])
+
+
+@pytest.fixture(scope="session")
+def made(served: Served, domain_id: str) -> dict[str, Any]:
+    """A design that has succeeded."""
+    body = {"domain": domain_id, "spec": small(), "name": "made", "labels": ["a"]}
+    answer = served.http.post("/v1/designs", json=body)
+    assert answer.status_code == 202, answer.text
+    ended = served.ended(answer.json()["id"])
+    assert ended["status"] == "succeeded", f"{ended['error']}\n{served.logs()}"
+    return ended
 
 
 def as_json(answer: httpx.Response) -> str:
