@@ -33,7 +33,7 @@ from worker.records import Records
 from worker.settings import Settings
 from worker.views import FINAL
 
-# Turns of each part, on average; what does not run, or not yet, may be passed over. A step lives for half a minute or so
+# Turns of each part, on average; what does not run, or not yet, may be passed over. A step lives for about half a minute
 # until its own or its worker's turn comes, which is what one takes on a busy machine: many end, many have to go on.
 WEIGHTS = {"api": 2.5, "worker": 0.35, "step": 0.25, "broker": 3.0, "all": 0.01}
 YOUNG = 0.6  # how often a part may be killed that was killed before and is not back yet
@@ -216,7 +216,7 @@ def _settings(data: Path) -> Settings:
 
 
 def _spec(number: int) -> dict[str, Any]:
-    """Small designs: a hundred share skeletons and field, fifty of these all; what is equal is reused once it is made."""
+    """Small designs: a hundred share skeletons and field, fifty of these all; what is equal is reused later."""
     shared = {"inlets": [{"facet": 4}], "outlets": [{"facet": 5}]}
     return {
         "units": "mm",
