@@ -33,11 +33,11 @@ from worker.records import Records
 from worker.settings import Settings
 from worker.views import FINAL
 
-# Turns of each part, on average; what does not run, or not yet, may be passed over. A step lives for about half a minute
-# until its own or its worker's turn comes, which is what one takes on a busy machine: many end, many have to go on.
-WEIGHTS = {"api": 2.5, "worker": 0.35, "step": 0.25, "broker": 3.0, "all": 0.01}
-YOUNG = 0.6  # how often a part may be killed that was killed before and is not back yet
-MOST_BROKER = 0.5  # of all kills
+# Turns of each part, on average; what does not run, or not yet, may be passed over. A step lives for about half a
+# minute before its own or its worker's turn, which is what one takes on a busy machine: many end, many go on later.
+WEIGHTS = {"api": 2.2, "worker": 0.35, "step": 0.25, "broker": 3.0, "all": 0.01}
+YOUNG = 0.2  # how often a part may be killed that was killed before and is not back yet
+MOST_BROKER = 0.55  # of all kills
 SO_FAR_S = 30.0
 SILENCE_S = 120.0  # after so long without news the workers write down where each of their threads is
 
@@ -239,7 +239,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=300)
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--pause", type=float, default=1.35, help="mean seconds between two turns")
+    parser.add_argument("--pause", type=float, default=1.1, help="mean seconds between two turns")
     parser.add_argument("--folder", type=Path, help="a new folder that keeps the records and logs")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dualms-faults-") as folder:
