@@ -148,25 +148,8 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def plain_spec() -> dict[str, Any]:
-    """A small design in the box: hot along x, cold against it."""
-
-    def disk(x: float, y: float) -> dict[str, Any]:
-        return {"center": [x, y, 0], "radius": 5}
-
-    return {
-        "units": "mm",
-        "fluids": {
-            "hot": {"inlets": [disk(-20, -7)], "outlets": [disk(20, -7)]},
-            "cold": {"inlets": [disk(20, 7)], "outlets": [disk(-20, 7)]},
-        },
-        "graph": {"sites": 32},
-        "partition": {"method": "anneal", "seconds": 0.1},
-        "field": {"method": "phase-field", "resolution": 40},
-        "surface": {"resolution": 48},
-        "pictures": {"width": 320},
-        "wall": {"thickness": 1.0},
-        "shell": {"thickness": 1.0},
-    }
+    """A small design in the box, with a shell: hot along x, cold against it."""
+    return small(units="mm", shell={"thickness": 1.0})
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from service.client import Client, ServiceError, Unreachable
+from tests.service.designs import small
 
 if TYPE_CHECKING:
     from conftest import Served
@@ -43,19 +44,7 @@ def submitted(served: Served, box: Path, tmp_path_factory: pytest.TempPathFactor
     return folder / "got", done
 
 
-SPEC: dict[str, Any] = {
-    "units": "mm",
-    "fluids": {
-        "hot": {"inlets": [{"center": [-20, -7, 0], "radius": 5}], "outlets": [{"center": [20, -7, 0], "radius": 5}]},
-        "cold": {"inlets": [{"center": [20, 7, 0], "radius": 5}], "outlets": [{"center": [-20, 7, 0], "radius": 5}]},
-    },
-    "graph": {"sites": 32},
-    "partition": {"method": "anneal", "seconds": 0.1},
-    "field": {"method": "phase-field", "resolution": 40},
-    "surface": {"resolution": 48},
-    "pictures": {"width": 320},
-    "wall": {"thickness": 1.0},
-}
+SPEC: dict[str, Any] = small(units="mm")
 
 
 def test_submit_waits_downloads_and_checks_the_requirements(submitted: tuple[Path, Any]) -> None:

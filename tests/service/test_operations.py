@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import socket
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,24 @@ def test_every_line_of_the_logs_is_json_and_names_its_job(served: Served, domain
     for line in (x for some in lines.values() for x in some):
         assert {"time", "level", "logger", "message", "process"} <= set(line)
         assert "job_id" in line or "step" not in line["message"].split()[:1], line
+
+
+def test_a_client_that_hangs_up_within_its_body_is_no_incident(served: Served) -> None:
+    host, port = served.url.removeprefix("http://").split(":")
+    log = served.data / "logs" / "api.log"
+    before = len(_lines(log))
+    head = (
+        "POST /v1/designs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n"
+    )
+    with socket.create_connection((host, int(port)), timeout=20) as line:
+        line.sendall(f'{head}{{"domain":'.encode())
+    deadline = time.monotonic() + 20
+    told: list[dict[str, Any]] = []
+    while not any(x["message"] == "POST /v1/designs" for x in told) and time.monotonic() < deadline:
+        time.sleep(0.1)
+        told = _lines(log)[before:]
+    assert [x["status"] for x in told if x["message"] == "POST /v1/designs"] == [400]
+    assert [x for x in told if x["level"] == "error"] == []
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:

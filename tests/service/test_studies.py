@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.service.designs import small
+
 if TYPE_CHECKING:
     from conftest import Served
 
@@ -16,21 +18,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="module")
 def base() -> dict[str, Any]:
     """The small design of the other tests, so that its steps are shared with theirs."""
-
-    def disk(x: float, y: float) -> dict[str, Any]:
-        return {"center": [x, y, 0], "radius": 5}
-
-    return {
-        "fluids": {
-            "hot": {"inlets": [disk(-20, -7)], "outlets": [disk(20, -7)]},
-            "cold": {"inlets": [disk(20, 7)], "outlets": [disk(-20, 7)]},
-        },
-        "graph": {"sites": 32},
-        "partition": {"method": "anneal", "seconds": 0.1},
-        "field": {"method": "phase-field", "resolution": 40},
-        "surface": {"resolution": 48},
-        "pictures": {"width": 320},
-    }
+    return small()
 
 
 @pytest.fixture(scope="module")
