@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import random
 import signal
 import sys
@@ -44,7 +45,10 @@ SILENCE_S = 120.0  # after so long without news the workers write down where eac
 
 @dataclass(frozen=True)
 class Plan:
-    """Size of a campaign; every ``cancel_every``-th design is cancelled while it runs; ``pause_s`` between turns."""
+    """Size of a campaign; every ``cancel_every``-th design is cancelled while it runs; ``pause_s`` between turns.
+
+    After ``strike_s`` it kills no more, however many kills are left, and what was not sent is sent at once.
+    """
 
     jobs: int
     kills: int
@@ -53,6 +57,7 @@ class Plan:
     folder: Path
     cancel_every: int = 10
     patience_s: float = 7200.0
+    strike_s: float = math.inf
 
 
 def run(plan: Plan) -> dict[str, Any]:
@@ -90,6 +95,7 @@ class _Campaign:
         self._plan, self._service, self._records = plan, service, records
         self._rng = random.Random(plan.seed)
         self._stop = threading.Event()
+        self._over = threading.Event()  # there will be no more kills
         self._done = threading.Event()  # all were sent and have ended
         self._api_killed: float | None = None
         self._threads = [threading.Thread(target=work) for work in (self._send, self._watch, self._call)]
@@ -102,6 +108,7 @@ class _Campaign:
         for thread in self._threads:
             thread.start()
         self._strike()
+        self._over.set()
         deadline = time.monotonic() + self._plan.patience_s
         while not self._done.is_set() and time.monotonic() < deadline:
             self._service.start_if_dead()
@@ -121,7 +128,7 @@ class _Campaign:
     def _send(self) -> None:
         for number in range(self._plan.jobs):
             due = number * self._plan.kills / self._plan.jobs - 5
-            while self.seen.killed.total() < due and not self._stop.wait(0.2):
+            while self.seen.killed.total() < due and not self._over.is_set() and not self._stop.wait(0.2):
                 pass
             body = {"domain": self._domain, "spec": _spec(number)}
             answer = self._service.ask("POST", "/designs", json=body, headers={"Idempotency-Key": f"job-{number}"})
@@ -154,9 +161,10 @@ class _Campaign:
         (self._plan.folder / "so_far.json").write_text(json.dumps({**kills, **found}, indent=1))
 
     def _strike(self) -> None:
-        """Kill parts at random until the number is reached or nothing is left to run."""
+        """Kill parts at random until the number is reached, the time is over, or nothing is left to run."""
         to_cancel = self._plan.cancel_every
-        while self.seen.killed.total() < self._plan.kills and not self._done.is_set():
+        end = time.monotonic() + self._plan.strike_s
+        while self.seen.killed.total() < self._plan.kills and not self._done.is_set() and time.monotonic() < end:
             time.sleep(self._rng.expovariate(1 / self._plan.pause_s))
             self._service.start_if_dead()
             running = self._service.processes()
@@ -240,10 +248,12 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--pause", type=float, default=1.1, help="mean seconds between two turns")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="kill no longer than that")
     parser.add_argument("--folder", type=Path, help="a new folder that keeps the records and logs")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="dualms-faults-") as folder:
-        found = run(Plan(given.jobs, given.kills, given.seed, given.pause, given.folder or Path(folder)))
+        place, strike_s = given.folder or Path(folder), 60 * given.minutes
+        found = run(Plan(given.jobs, given.kills, given.seed, given.pause, place, strike_s=strike_s))
     print(json.dumps({"command": sys.argv[1:], **provenance(), **found}, indent=1))
     return int(any(found[name] for name in MUST_BE_ZERO))
 
