@@ -106,7 +106,7 @@ class Served:
         with path.open("rb") as file:
             return self.http.post("/v1/domains", files={"file": (path.name, file)}, data=data)
 
-    def ended(self, design_id: str, patience_s: float = 300.0) -> dict[str, Any]:
+    def ended(self, design_id: str, patience_s: float = 600.0) -> dict[str, Any]:
         """The design once it has ended."""
         deadline = time.monotonic() + patience_s
         while time.monotonic() < deadline:
