@@ -3,6 +3,8 @@ PYTHON ?= python3
 # The newest release that we test with; any torch that fits your machine will do: make install TORCH=torch
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
+# Text is UTF-8 whatever the locale, and whatever a library does to it in the process.
+export PYTHONUTF8 := 1
 
 .PHONY: install demo serve test test-all test-hostile check audit format openapi examples bench bench-hydraulics bench-field bench-cut bench-bodies bench-load clean
 
