@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
+
+import trimesh
 
 from dualms.body.body import Body, make_body
 from dualms.domain import Domain
-from dualms.spec import Unit
+from dualms.pipeline import run_step
+from dualms.progress import Silent
+from dualms.spec import Spec, Unit
+from dualms.steps import steps_of
 from dualms.surface import Surface, extract_surface
 from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid, halves, shared_ends
 
@@ -29,3 +35,12 @@ def flat_body(units: Unit) -> Body:
     grid = domain.grid(40, padding=4)
     surface = extract_surface(domain, halves(grid), grid, WALL / 2 + 2.5 * grid.spacing, SHELL)
     return make_body(domain, surface, WALL, SHELL, unit_m=units.metres)
+
+
+def build_box(folder: Path, spec: Spec) -> None:
+    """Run every step of a specification for the box, written as an STL in millimetres, in a folder."""
+    box = box_mesh()
+    shape = trimesh.Trimesh(box.vertices_m * 1e3, box.faces, process=False)
+    (folder / "box.stl").write_bytes(trimesh.exchange.stl.export_stl(shape))
+    for step in steps_of(spec):
+        run_step(step, folder, folder / "box.stl", spec, Silent())

@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import trimesh
 
 from dualms.measure.certificate import Check
 from dualms.page import readable
-from dualms.pipeline import run_step
-from dualms.progress import Silent
-from dualms.steps import steps_of
-from tests.dualms.shapes import box_mesh, end_ports, small_spec
+from tests.dualms.bodies import build_box
+from tests.dualms.shapes import end_ports, small_spec
 
 pytestmark = pytest.mark.browser
 
@@ -28,9 +25,6 @@ REQUIRED = {"min_passage_m": 0.001, "max_overhang_fraction": 1e-9}  # one that i
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small design whose certificate fails on one line."""
     folder = tmp_path_factory.mktemp("page")
-    box = box_mesh()
-    shape = trimesh.Trimesh(box.vertices_m * 1e3, box.faces, process=False)
-    (folder / "box.stl").write_bytes(trimesh.exchange.stl.export_stl(shape))
     spec = small_spec(
         end_ports(),
         graph={"sites": 32},
@@ -38,8 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         surface={"resolution": 48},
         require=REQUIRED,
     )
-    for step in steps_of(spec):
-        run_step(step, folder, folder / "box.stl", spec, Silent())
+    build_box(folder, spec)
     return folder
 
 

@@ -11,10 +11,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from dualms.pipeline import run_step
-from dualms.progress import Silent
-from dualms.steps import steps_of
-from tests.dualms.shapes import box_mesh, end_ports, small_spec
+from tests.dualms.bodies import build_box
+from tests.dualms.shapes import end_ports, small_spec
 
 pytestmark = pytest.mark.slow
 
@@ -43,12 +41,8 @@ def slicer() -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small certified design in a box of 80 x 60 x 40 mm."""
     folder = tmp_path_factory.mktemp("sliced")
-    box = box_mesh()
-    shape = trimesh.Trimesh(box.vertices_m * 1e3, box.faces, process=False)
-    (folder / "box.stl").write_bytes(trimesh.exchange.stl.export_stl(shape))
     spec = small_spec(end_ports(), graph={"sites": 32}, wall={"thickness": 1.2})
-    for step in steps_of(spec):
-        run_step(step, folder, folder / "box.stl", spec, Silent())
+    build_box(folder, spec)
     report = json.loads((folder / "report.json").read_text())
     assert report["certified"], [line for line in report["certificate"] if not line["passed"]]
     return folder
