@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import io
+import locale
 import uuid
 import zipfile
 from pathlib import Path
@@ -87,7 +88,11 @@ def write_3mf(mesh: TriangleMesh, side: NDArray[np.int64], units: Unit, path: Pa
         named(str(uuid.uuid5(uuid.NAMESPACE_OID, name)))
     writer = model.QueryWriter("3mf")
     writer.SetDecimalPrecision(9)
-    writer.WriteToFile(str(path))
+    before = locale.setlocale(locale.LC_ALL)
+    try:
+        writer.WriteToFile(str(path))
+    finally:
+        locale.setlocale(locale.LC_ALL, before)  # lib3mf leaves the whole process in the locale C
     path.write_bytes(_without_time(path.read_bytes()))
 
 

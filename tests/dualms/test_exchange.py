@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import locale
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -135,3 +136,10 @@ def test_triangles_carry_their_side_or_patch(folder: Path, name: str, figure: st
     body = gyroid_body()[2]
     expected = {"solid": body.solid_side, "fluid_hot": body.hot.patch, "fluid_cold": body.cold.patch}[name]
     assert (meshio.read(folder / f"{name}.vtu").cell_data[figure][0] == expected).all()
+
+
+def test_writing_leaves_the_locale_as_it_was(tmp_path: Path) -> None:
+    before = locale.setlocale(locale.LC_ALL, "C.UTF-8")
+    body = flat_body(Unit.MM)
+    write_3mf(body.solid, body.solid_side, Unit.MM, tmp_path / "solid.3mf")
+    assert locale.setlocale(locale.LC_ALL) == before
