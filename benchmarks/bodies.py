@@ -28,11 +28,11 @@ import numpy as np
 import trimesh
 from bodies_envelopes import CASES, write_domain
 
-from dualms.body.walls import channels
+from dualms.body.walls import BAND_VOXELS, channels
 from dualms.booleans import Solid
 from dualms.field.field import load_field
 from dualms.nearest import Nearest
-from dualms.pipeline import BAND_VOXELS, Prepared, run_step
+from dualms.pipeline import Prepared, run_step
 from dualms.reading import read_domain_mesh
 from dualms.spec import Spec, Unit, WallFraction
 from dualms.surface import extract_surface

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import edt
 import igl
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +161,7 @@ class Domain:
                 marked[tuple(grid.nearest(points).T)] = True
         # A marked voxel's centre is at most √3/2 spacings from a sample, a sample at most one from any boundary point.
         reach = band / grid.spacing + 2.0
-        return np.asarray(ndimage.distance_transform_edt(~marked) <= reach)
+        return np.asarray(edt.edt(~marked, parallel=0) <= reach)
 
 
 def _first_of(regions: NDArray[np.int32], box: tuple[slice, ...], label: int) -> NDArray[np.int64]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dualms.body.body import make_body
 from dualms.body.headers import headers_of
-from dualms.body.walls import graded_wall, wall_thickness, widest_wall
+from dualms.body.thickness import greatest
+from dualms.body.walls import BAND_VOXELS, graded_wall, wall_thickness
 from dualms.cfd.evaluate import evaluate as solve_evaluation
 from dualms.cut.partition import Partition, max_cut
 from dualms.domain import Domain
@@ -33,9 +32,6 @@ from dualms.steps import CHECKPOINT, Step, sha256_of
 from dualms.stopwatch import Stopwatch
 from dualms.surface import extract_surface
 from dualms.values import load, save
-
-BAND_VOXELS = 2.5  # what marching cubes needs of exact distance beyond half the wall
-WIDEST_WALL = 0.12  # unit-cube units; thicker is not tried for a wall given by its share
 
 
 @dataclass(frozen=True)
@@ -112,46 +108,29 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     inside, outside = shells(spec.shell, units, domain)
     shell = inside or outside
     grid = domain.grid(spec.surface.resolution, padding=4 + ceil(outside * spec.surface.resolution))
-    widest = widest_wall(spec.wall, units, domain) or WIDEST_WALL
-    band = widest / 2 + BAND_VOXELS * grid.spacing
+    wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, spec.surface.resolution, field.on))
+    band = greatest(wall) / 2 + BAND_VOXELS * grid.spacing
     surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell, outside))
-    wall = wall_thickness(spec.wall, units, domain, surface)
     headers = headers_of(domain, spec.fluids, units, spec.shell)
     most = spec.surface.max_faces
     body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers, units.metres, most))
 
-    def measure() -> tuple[NDArray[np.float64], Report]:
+    def measure() -> Report:
         curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces)
-        return curvature, make_report(
-            domain,
-            sha256_of(domain_file),
-            given.partition,
-            len(given.graph.edges),
-            field,
-            surface,
-            curvature,
-            body,
-            wall,
-            spec,
-            given.units,
-        )
+        graph, cut = given.graph, given.partition
+        sha256 = sha256_of(domain_file)
+        with ThreadPoolExecutor(1) as painter:  # the path tracer leaves the interpreter free for the measuring
+            pictures = painter.submit(
+                results.draw, folder, domain, graph, cut, surface, curvature, body, spec.pictures.width
+            )
+            report = make_report(
+                domain, sha256, cut, len(graph.edges), field, surface, curvature, body, wall, spec, given.units
+            )
+            results.write_meshes(folder, domain, graph, cut, surface, body, units, spec.output.formats)
+            pictures.result()
+        return report
 
-    curvature, report = watch.run("report", measure)
-    watch.run(
-        "report",
-        lambda: results.write_meshes(
-            folder,
-            domain,
-            given.graph,
-            given.partition,
-            surface,
-            curvature,
-            body,
-            units,
-            spec.pictures.width,
-            spec.output.formats,
-        ),
-    )
+    report = watch.run("report", measure)
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))
 
 

@@ -25,6 +25,7 @@ from dualms.skeleton_mesh import skeleton_meshes
 from dualms.spec import MeshFormat, Unit
 from dualms.steps import ARTIFACTS, OPTIONAL_ARTIFACTS, sha256_of
 from dualms.surface import Surface, to_metres
+from dualms.triangles import TriangleMesh
 
 REGIONS = {"hot": "fluid_hot_patches.stl.gz", "cold": "fluid_cold_patches.stl.gz"}
 
@@ -35,16 +36,11 @@ def write_meshes(
     graph: Graph,
     partition: Partition,
     surface: Surface,
-    curvature: Array,
     body: Body,
     units: Unit,
-    preview_width: int,
     formats: tuple[MeshFormat, ...] = (),
 ) -> None:
-    """Write surface, solid, fluids, patches, scene, pictures (so many pixels across), and other formats asked for.
-
-    ``curvature`` is that of the surface's vertices, 1/m.
-    """
+    """Write surface, solid, fluids, patches, scene, and other formats asked for."""
     scaled = in_units(body, units.metres)
     sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
     write_stl(single_precision(sheet), folder / "surface.stl")
@@ -57,7 +53,7 @@ def write_meshes(
     write_json(folder / "patches.json", patches(body, units))
     write_formats(formats, folder, surface, body, units)
     colours = np.array([SIDE_COLOURS[s] for s in (-1, 0, 1)], dtype=np.uint8)[body.solid_side + 1]
-    bones = {name: to_metres(domain, mesh) for name, mesh in skeleton_meshes(graph, partition).items()}
+    bones = _bones(domain, graph, partition)
     # glTF is in metres by definition.
     write_glb(
         {
@@ -71,9 +67,28 @@ def write_meshes(
         },
         folder / "scene.glb",
     )
-    preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", preview_width)
-    maps(surface, curvature, body, folder / "maps.png", preview_width // 2)
+
+
+def draw(
+    folder: Path,
+    domain: Domain,
+    graph: Graph,
+    partition: Partition,
+    surface: Surface,
+    curvature: Array,
+    body: Body,
+    width: int,
+) -> None:
+    """Draw the pictures, so many pixels across; ``curvature`` is that of the surface's vertices, 1/m."""
+    bones = _bones(domain, graph, partition)
+    preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", width)
+    maps(surface, curvature, body, folder / "maps.png", width // 2)
     sections_picture(domain, body, folder / "sections.png")
+
+
+def _bones(domain: Domain, graph: Graph, partition: Partition) -> dict[str, TriangleMesh]:
+    """Skeletons and cut edges as tubes, in metres."""
+    return {name: to_metres(domain, mesh) for name, mesh in skeleton_meshes(graph, partition).items()}
 
 
 def patches(body: Body, units: Unit) -> dict[str, Any]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import edt
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from skimage import measure
 
 from dualms.booleans import Solid
@@ -144,7 +144,7 @@ def signed_distance(
         change = np.diff(positive, axis=axis)
         near |= np.pad(change, [(0, 1) if k == axis else (0, 0) for k in range(3)])
         near |= np.pad(change, [(1, 0) if k == axis else (0, 0) for k in range(3)])
-    reach = wanted & (ndimage.distance_transform_edt(~near) <= band / grid.spacing + 1.0)
+    reach = wanted & (edt.edt(~near, parallel=0) <= band / grid.spacing + 1.0)
     distance = np.where(positive, band, -band).astype(np.float32)
     exact = np.minimum(Nearest(surface).distance(grid.points(reach)), band)
     distance[reach] = np.where(positive[reach], exact, -exact)

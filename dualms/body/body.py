@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from dualms.body.budget import simplified
 from dualms.body.header import LIFT_VOXELS, Header
-from dualms.body.headers import refuse_collisions
-from dualms.body.offset import at_distance
 from dualms.body.openings import core
+from dualms.body.outline import Outline, outline_of
 from dualms.body.patches import INTERFACE, patch_names, patch_of_faces
 from dualms.body.thickness import Wall, least, thickness_at
 from dualms.body.walls import channels
@@ -19,7 +18,6 @@ from dualms.body.written import as_written
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked, InvalidBody
-from dualms.nearest import Nearest
 from dualms.spec.body import MAX_FACES
 from dualms.surface import Surface, level_set
 from dualms.triangles import TriangleMesh
@@ -92,26 +90,6 @@ class Body:
     crossing: int
 
 
-@dataclass(frozen=True)
-class _Outline:
-    """What bounds the body from outside, and by which bodies its faces were made.
-
-    Parameters
-    ----------
-    solid
-        The envelope, with a shell outside it, and the pipes of the headers.
-    skin
-        Origin of what is not a pipe.
-    pipes, bores
-        Of each header; a pipe's origin marks the end where the fluid comes out.
-    """
-
-    solid: Solid
-    skin: int
-    pipes: dict[int, Solid]
-    bores: dict[int, Solid]
-
-
 def make_body(
     domain: Domain,
     surface: Surface,
@@ -151,7 +129,7 @@ def make_body(
         If a header touches what it must not.
     """
     envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
-    outline = _outline(domain, surface, envelope, shell if outside else 0.0, headers)
+    outline = outline_of(domain, surface, envelope, shell if outside else 0.0, headers)
     made: dict[int, tuple[Solid, Fluid]] = {}
     side_of: dict[int, int] = {}
     block = outline.solid
@@ -194,24 +172,6 @@ def make_body(
     )
 
 
-def _outline(domain: Domain, surface: Surface, envelope: Solid, skin: float, headers: tuple[Header, ...]) -> _Outline:
-    body = envelope
-    if skin:
-        grown = level_set(surface.depth + np.float32(skin), surface.grid)
-        body = Solid.of(
-            at_distance(
-                grown, Nearest(envelope.mesh()), lambda points: np.full(len(points), skin), surface.grid.spacing
-            )
-        )
-    refuse_collisions(domain, headers, body, surface.grid, skin)
-    pipes = {h.port: h.pipe(surface.grid, skin) for h in headers}
-    bores = {h.port: h.bore(surface.grid, skin) for h in headers}
-    solid = body
-    for pipe in pipes.values():
-        solid = solid | pipe
-    return _Outline(solid, body.origin, pipes, bores)
-
-
 def _room(
     domain: Domain,
     surface: Surface,
@@ -219,7 +179,7 @@ def _room(
     shell: float,
     sign: int,
     outside: bool,
-    outline: _Outline,
+    outline: Outline,
 ) -> Solid:
     """Where a fluid is, reaching beyond the body's outline at its openings."""
     if not shell:
@@ -244,7 +204,7 @@ def _mean_wall(domain: Domain, wall: Wall, fluid: Fluid) -> float:
 
 
 def _fluid(
-    domain: Domain, room: Solid, interface: int, outline: _Outline, sign: int, shell: float, unit_m: float
+    domain: Domain, room: Solid, interface: int, outline: Outline, sign: int, shell: float, unit_m: float
 ) -> tuple[Solid, list[Solid], Fluid, list[int]]:
     """The part of a fluid that joins its ports, the pockets to fill in, the part's mesh, and what cut it."""
     name = "hot" if sign == 1 else "cold"

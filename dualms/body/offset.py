@@ -226,7 +226,7 @@ def _turned(faces: Faces, middle: Faces, by: Faces) -> tuple[Faces, Faces]:
 def _unfolded(moved: _Moved) -> TriangleMesh:
     """The mesh, with moves taken back where triangles cross."""
     vertices = moved.vertices.copy()
-    changed: NDArray[np.bool_] = np.ones(len(moved.faces), dtype=bool)
+    changed: NDArray[np.bool_] | None = None
     for _ in range(UNFOLDINGS):
         # What crosses elsewhere has been taken back already.
         crossing = crossing_triangles(TriangleMesh(vertices, moved.faces), _STEP, changed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import edt
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -70,7 +71,7 @@ def measure_channel(domain: Domain, room: Mask, grid: Grid, fluid: int) -> Chann
     if not common:
         return Channel(False, 1.0, 0.0, 0.0)
     region = regions == min(common)
-    radius = (ndimage.distance_transform_edt(region) - 0.5) * grid.spacing
+    radius = (edt.edt(region, parallel=0) - 0.5) * grid.spacing
     source, sink = (np.concatenate([v[region[tuple(v.T)]] for v in ports]) for ports in (inlets, outlets))
     middle = region & (radius == ndimage.maximum_filter(radius, size=3)) & (radius > grid.spacing)
     width = 2 * float(np.quantile(radius[middle], 0.01)) if middle.any() else 2 * float(radius.max())
@@ -145,5 +146,5 @@ def _around(shape: tuple[int, ...], voxels: NDArray[np.int64], reach: float) -> 
     found = np.zeros(shape, dtype=bool)
     outside = np.ones(found[box].shape, dtype=bool)
     outside[tuple((voxels - low).T)] = False
-    found[box] = ndimage.distance_transform_edt(outside) <= reach
+    found[box] = edt.edt(outside, parallel=0) <= reach
     return found

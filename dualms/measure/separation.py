@@ -62,16 +62,16 @@ def _around(low: Array, high: Array, spacing: float) -> Grid:
 
 def _doors(fluid: Fluid, grid: Grid) -> list[Indices]:
     """For each port (K, 3) voxels just below it that lie in the fluid."""
-    found = []
+    below = []
     for k in range(2, len(fluid.patches)):
         port = fluid.mesh.part(fluid.patch == k)
         chosen = np.argsort(-port.areas, kind="stable")[:SEEDS]
         normals = port.crosses[chosen] / np.maximum(2 * port.areas[chosen], 1e-300)[:, None]
-        voxels = grid.nearest(port.centroids[chosen] - DEEP * grid.spacing * normals)
-        centres = np.ascontiguousarray(grid.origin + grid.spacing * voxels)
-        inside = igl.fast_winding_number(fluid.mesh.vertices, fluid.mesh.faces, centres) > 0.5
-        found.append(voxels[inside])
-    return found
+        below.append(grid.nearest(port.centroids[chosen] - DEEP * grid.spacing * normals))
+    centres = np.ascontiguousarray(grid.origin + grid.spacing * np.concatenate(below))
+    inside = igl.fast_winding_number(fluid.mesh.vertices, fluid.mesh.faces, centres) > 0.5
+    ends = np.cumsum([len(voxels) for voxels in below])[:-1]
+    return [voxels[kept] for voxels, kept in zip(below, np.split(inside, ends), strict=True)]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
