@@ -21,6 +21,7 @@ from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]
 
+INCHES = 6.4  # across a map, for its text: that shrinks with the picture
 UNKNOWN = (0.75, 0.75, 0.75)  # where there is no fit, or no wall of its own
 
 
@@ -38,7 +39,7 @@ def maps(surface: Surface, curvature: Array, body: Body, path: Path, width: int 
     width
         Pixels across each of the two maps.
     """
-    figure = Figure(figsize=(2 * width / 100, 0.66 * width / 100), layout="constrained")
+    figure = Figure(figsize=(2 * INCHES, 0.66 * INCHES), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 2)
     curvature = curvature / 1e3
@@ -58,7 +59,7 @@ def maps(surface: Surface, curvature: Array, body: Body, path: Path, width: int 
         bar = figure.colorbar(ScalarMappable(Normalize(*span), colours), ax=axis, shrink=0.85, pad=0.01)
         bar.set_label(label, fontsize=13)
         bar.ax.tick_params(labelsize=12)
-    figure.savefig(path, dpi=100)
+    figure.savefig(path, dpi=width / INCHES)
 
 
 def _thickness(wall: TriangleMesh, body: Body) -> Array:
