@@ -19,6 +19,7 @@ COLD: Colour = (0.10, 0.32, 0.72)
 METAL: Colour = (0.62, 0.63, 0.66)
 CUT: Colour = (0.90, 0.90, 0.88)
 SIDES = ((0, METAL), (1, HOT), (-1, COLD))
+UNSEEN = 0.3  # pixels that the printed body's faces may move
 CAPTION = 1 / 40  # height of the captions over the picture's width
 
 
@@ -41,12 +42,14 @@ def preview(body: Body, hot_bones: TriangleMesh, cold_bones: TriangleMesh, path:
     bones = [(mesh.moved(1 / unit, np.zeros(3)), colour) for mesh, colour in ((hot_bones, HOT), (cold_bones, COLD))]
     third, caption = width // 3, max(12, round(CAPTION * width))
     facing = _port_direction(body)
+    solid = Solid.of_parts(body.solid, body.solid_side + 1).simplified(UNSEEN / width)
+    printed, face_side = _sides(solid, solid)
     whole, small = (width, int(0.5 * width)), (third, int(0.8 * third))
     views = (
-        ("Cut open: hot side red, cold side blue", _cut_open(body), whole, None),
+        ("Cut open: hot side red, cold side blue", _cut_open(solid), whole, None),
         ("Skeletons", bones, small, facing),
         ("Hot and cold fluid", [(body.hot.mesh, HOT), (body.cold.mesh, COLD)], small, facing),
-        ("The printed body", [(body.solid.part(body.solid_side == s), c) for s, c in SIDES], small, facing),
+        ("The printed body", [(printed.part(face_side == s), c) for s, c in SIDES], small, facing),
     )
     pictures = []
     for title, parts, size, side in views:
@@ -59,17 +62,22 @@ def preview(body: Body, hot_bones: TriangleMesh, cold_bones: TriangleMesh, path:
     sheet.save(path, optimize=True)
 
 
-def _cut_open(body: Body) -> list[tuple[TriangleMesh, Colour]]:
+def _sides(solid: Solid, of: Solid) -> tuple[TriangleMesh, NDArray[np.int64]]:
+    """A boundary, and (F,) the side of each face in the body ``of`` that it was cut from; 2 where it was cut."""
+    mesh, origin = solid.faces_by_origin()
+    side = origin - of.origin - 1
+    return mesh, np.where(np.abs(side) > 1, 2, side)
+
+
+def _cut_open(solid: Solid) -> list[tuple[TriangleMesh, Colour]]:
     """The lower half along the shortest side, its cut faces bright."""
-    points = body.solid.vertices
+    points = solid.mesh().vertices
     axis = int(np.ptp(points, axis=0).argmin())
     normal = np.zeros(3)
     normal[axis] = -1.0
     height = 0.5 * (points[:, axis].min() + points[:, axis].max())
-    solid = Solid.of_parts(body.solid, body.solid_side + 1)
-    cut, origin = Solid(solid.manifold.trim_by_plane(tuple(normal), -float(height)), -1).faces_by_origin()
-    sides = [(cut.part(origin == solid.origin + 1 + side), colour) for side, colour in SIDES]
-    return [(cut.part((origin < solid.origin) | (origin > solid.origin + 2)), CUT), *sides]
+    cut, side = _sides(Solid(solid.manifold.trim_by_plane(tuple(normal), -float(height)), -1), solid)
+    return [(cut.part(side == s), colour) for s, colour in (*SIDES, (2, CUT))]
 
 
 def _port_direction(body: Body) -> NDArray[np.float64]:

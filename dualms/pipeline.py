@@ -119,15 +119,18 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
         curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces)
         graph, cut = given.graph, given.partition
         sha256 = sha256_of(domain_file)
-        with ThreadPoolExecutor(1) as painter:  # the path tracer leaves the interpreter free for the measuring
-            pictures = painter.submit(
-                results.draw, folder, domain, graph, cut, surface, curvature, body, spec.pictures.width
+        with ThreadPoolExecutor(2) as beside:  # path tracing and packing leave the interpreter free for the measuring
+            files = (
+                beside.submit(results.draw, folder, domain, graph, cut, surface, curvature, body, spec.pictures.width),
+                beside.submit(
+                    results.write_meshes, folder, domain, graph, cut, surface, body, units, spec.output.formats
+                ),
             )
             report = make_report(
                 domain, sha256, cut, len(graph.edges), field, surface, curvature, body, wall, spec, given.units
             )
-            results.write_meshes(folder, domain, graph, cut, surface, body, units, spec.output.formats)
-            pictures.result()
+            for written in files:
+                written.result()
         return report
 
     report = watch.run("report", measure)

@@ -16,7 +16,7 @@ from dualms.triangles import TriangleMesh
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
-SAMPLES_PER_PIXEL = 12
+SAMPLES_PER_PIXEL = 9
 FIELD_OF_VIEW = 26.0  # degrees, of the picture's smaller side
 FILLED = 0.96  # of the picture
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dualms.booleans import Solid
 
-TOLERANCES = (0.02, 0.03, 0.04, 0.05)
+TOLERANCES = (0.04, 0.05)
 """How far a side's faces may move, over half the wall's thickness: the first at any rate, the others for a budget.
 
 Beyond the last the thickness would leave 3 % of the asked (decision note 0012).

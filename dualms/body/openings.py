@@ -18,6 +18,7 @@ from dualms.triangles import TriangleMesh
 Values = NDArray[np.float32]
 SMOOTH = np.cos(np.radians(30))  # neighbours that turn by less belong to the same face of the envelope
 CLEARANCE_VOXELS = 0.1  # between an opening and the bore of a header that it leads into
+TOLERANCE_VOXELS = 0.05  # of the core's faces: where the shell is flat, a few large ones do
 OVERLAP_VOXELS = 1.5  # how far above the skin such an opening ends; the bore starts at one voxel
 
 
@@ -70,7 +71,7 @@ def core(
     for index, port in enumerate(domain.ports):
         if port.fluid == fluid:
             _open(domain, port, free, surface, shell, outside, index in piped)
-    opened = Solid.of(level_set(free, grid))
+    opened = Solid.of(level_set(free, grid)).simplified(TOLERANCE_VOXELS * grid.spacing)
     # A body of its own for each fluid, so that faces tell which fluid they were cut for.
     return Solid.of(TriangleMesh(domain.vertices, domain.faces)) | opened if outside else opened
 
