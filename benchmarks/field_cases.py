@@ -95,16 +95,17 @@ def mesh_figures(case: Case, vertices: np.ndarray, faces: np.ndarray) -> Row:
 
 
 def kept_topology(case: Case, field: Field) -> Row:
-    """Euler characteristics of both fluids' voxels at the start and at the end, on the grid that kept them."""
-    if "resolution" not in field.history.columns:
-        return {"euler_start": None, "euler": None}
-    lattice = Lattice.of(case.domain, case.skeletons, int(field.history.column("resolution")[-1]))
-    to_hot, to_cold = lattice.distances(case.skeletons)
-    start, end = (lattice.colouring(values) for values in (to_cold - to_hot, field.on(lattice.grid)))
-    found = [
-        tuple(topology.euler_characteristic(part & lattice.inside) for part in (hot, ~hot)) for hot in (start, end)
-    ]
-    return {"euler_start": found[0], "euler": found[1]}
+    """Euler characteristics of both fluids' voxels at the start and at the end, where solved and where measured."""
+    levels = {"": MEASURED_AT}
+    if "resolution" in field.history.columns:
+        levels["_solved"] = int(field.history.column("resolution")[-1])
+    found: Row = {"euler_start_solved": None, "euler_solved": None}
+    for suffix, level in levels.items():
+        lattice = Lattice.of(case.domain, case.skeletons, level)
+        start = lattice.colouring(lattice.nearer_to_hot(case.skeletons) - np.float32(0.5))
+        for name, hot in (("euler_start", start), ("euler", field.on(lattice.grid) > 0)):
+            found[name + suffix] = tuple(topology.euler_characteristic(part & lattice.inside) for part in (hot, ~hot))
+    return found
 
 
 def minimal_at(case: Case, level: int) -> Field:
@@ -116,9 +117,10 @@ def minimal_at(case: Case, level: int) -> Field:
 
     gap = typical_gap(case.domain, case.skeletons)
     lattice = Lattice.of(case.domain, case.skeletons, level)
-    u, _, eps = diffuse(lattice, lattice.distances(case.skeletons), gap, 1.0, listen)
+    away = lattice.distances(case.skeletons)
+    u, _, eps = diffuse(lattice, away, gap, 1.0, listen, sealed=True)
     samples = continued(distance_of(u, eps), lattice.inside, lattice.grid)
-    samples = minimal.lower_energy(lattice, samples, minimal.DESCENT_ITERATIONS, listen)
+    samples = minimal.lower_energy(lattice, samples, away, gap, minimal.DESCENT_ITERATIONS, listen)
     samples = minimal.straightened(case.domain, lattice, samples, gap, minimal.NEWTON_STEPS, listen)
     return Field(samples, "phase-field", History(("iteration", "resolution", "energy"), np.array(log)), "cpu")
 

@@ -8,11 +8,12 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from dualms.measure.curvature import mean_curvature
-from dualms.pictures import Colour, render
+from dualms.render import Camera, render
 from dualms.triangles import TriangleMesh
 
-BINS = 17
-VIEW = {"direction": np.array([-0.45, -1.0, 0.7]), "size": 420}
+EYE = np.array([-0.45, -1.0, 0.7])
+"""Direction from what is seen to the eye."""
+SIZE = 420
 
 Shown = tuple[str, np.ndarray, np.ndarray]
 
@@ -31,36 +32,28 @@ def by_curvature(surfaces: list[Shown], limit: float, path: Path, columns: int =
     columns
         Pictures in a row.
     """
-    size = int(VIEW["size"])
     rows = -(-len(surfaces) // columns)
-    sheet = Image.new("RGB", (size * min(columns, len(surfaces)), size * rows), "white")
+    sheet = Image.new("RGB", (SIZE * min(columns, len(surfaces)), SIZE * rows), "white")
     font = ImageFont.load_default(size=16)
     for n, (title, vertices, faces) in enumerate(surfaces):
-        h = np.nan_to_num(mean_curvature(vertices, faces))
-        level = np.clip(np.rint((h[faces].mean(axis=1) / limit + 1) / 2 * (BINS - 1)), 0, BINS - 1)
-        mesh = TriangleMesh(vertices, faces)
-        parts = [(mesh.part(level == k), _colour(2 * k / (BINS - 1) - 1)) for k in range(BINS)]
-        picture = render(parts, _camera(vertices), (size, size))
+        share = np.clip(np.nan_to_num(mean_curvature(vertices, faces)) / limit, -1, 1)
+        picture = render([(TriangleMesh(vertices, faces), _colours(share))], _camera(vertices[faces]), (SIZE, SIZE))
         ImageDraw.Draw(picture).text((10, 6), f"{title}\n|H| < {limit:g}", fill=(60, 60, 60), font=font)
-        sheet.paste(picture, (size * (n % columns), size * (n // columns)))
+        sheet.paste(picture, (SIZE * (n % columns), SIZE * (n // columns)))
     path.parent.mkdir(parents=True, exist_ok=True)
-    sheet.save(path, optimize=True)
+    sheet.quantize(255).save(path, optimize=True)
 
 
-def _colour(x: float) -> Colour:
-    """Blue to white to red for x from -1 to 1, linear RGB."""
-    fade = 0.85 * (1 - abs(x))
-    return (0.85, fade, fade) if x > 0 else (fade, fade, 0.85)
+def _colours(share: np.ndarray) -> np.ndarray:
+    """(V, 3) blue to white to red for shares from -1 to 1, linear RGB."""
+    fade = 0.85 * (1 - np.abs(share))
+    full = np.full(share.shape, 0.85)
+    return np.stack([np.where(share > 0, full, fade), fade, np.where(share > 0, fade, full)], axis=1)
 
 
-def _camera(vertices: np.ndarray) -> dict[str, object]:
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+def _camera(corners: np.ndarray) -> Camera:
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     target, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    direction = VIEW["direction"] / np.linalg.norm(VIEW["direction"])
-    right = 0.8 * radius * np.cross(direction, [0.0, 0.0, 1.0])
-    return {
-        "origin": (target + 4.4 * radius * direction).tolist(),
-        "target": target.tolist(),
-        "up": [0, 0, 1],
-        "right": right,
-    }
+    direction = EYE / np.linalg.norm(EYE)
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    return Camera(target + 4.4 * radius * direction, target, np.array([0.0, 0.0, 1.0]), -direction - 0.24 * right)

@@ -37,6 +37,7 @@ def diffuse(
     gap: float,
     share: float,
     each: Callable[[int, int, float, int], None],
+    sealed: bool = False,
 ) -> tuple[Floats, Mask, float]:
     """Start at the equidistant surface and diffuse it.
 
@@ -53,6 +54,8 @@ def diffuse(
     each
         Called with step, number of steps, area by the Allen-Cahn energy, and number of voxels that had to keep their
         colour.
+    sealed
+        Whether the start's topology is kept at the wall, too.
 
     Returns
     -------
@@ -90,7 +93,7 @@ def diffuse(
         # The reaction's exact flow; the heat step before it is exact too (Strang splitting would change the ends only).
         u /= np.sqrt(u * u + (1 - u * u) * decay)
         np.clip(u, low, high, out=u)
-        kept = topology.follow(hot, u, lattice.inside, lattice.periodic)
+        kept = topology.follow(hot, u, lattice.inside, lattice.periodic, sealed)
         at = tuple(kept.T)
         u[at] = np.where(hot[at], _PIN, -_PIN)
         figure = area(u, fraction, eps, spacing)

@@ -99,6 +99,13 @@ class Lattice:
             away.append(distance)
         return away[0], away[1]
 
+    def nearer_to_hot(self, skeletons: Skeletons) -> Mask:
+        """(nx, ny, nz) voxels of the domain that are nearer to the hot skeleton than to the cold one."""
+        tree = cKDTree(np.concatenate([skeletons.hot, skeletons.cold]))
+        nearer = np.zeros(self.grid.shape, dtype=bool)
+        nearer[self.inside] = tree.query(self.grid.points(self.inside), workers=-1)[1] < len(skeletons.hot)
+        return nearer
+
 
 def typical_gap(domain: Domain | Torus, skeletons: Skeletons) -> float:
     """Median over the domain of the way between the skeletons through a point: about the spacing of the sites."""

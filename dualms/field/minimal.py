@@ -1,7 +1,8 @@
 """The second and third phase: from the diffused surface towards H = 0, with the topology kept.
 
 First the diffuse Willmore energy is lowered on the voxels of the domain, with no flux through their outer faces; then
-Newton's method (:mod:`dualms.field.newton`) takes the surface on with a free contact at the wall.
+Newton's method (:mod:`dualms.field.newton`) takes the surface on with a free contact at the wall. The first keeps a
+tube round each skeleton: necks thinner than the interface cost it nothing, and it would draw them shut.
 """
 
 from __future__ import annotations
@@ -30,8 +31,13 @@ COARSEST_OVER_GAP = 0.115
 VERTICES = 40_000
 """Vertices of the surface's mesh up to which a finer grid is used; beyond, only where the gap asks for it."""
 FINEST = 512
-DESCENT_ITERATIONS = 300
-NEWTON_STEPS = 10
+DESCENT_ITERATIONS = 200
+NEWTON_STEPS = 12
+_TUBE_OVER_GAP = 0.22
+_TUBE_SHARE = 0.6
+"""Of half the way to the other skeleton: tubes are not thicker than that."""
+_SURE = np.float32(0.9)
+"""Profile beyond which a tube asks for nothing."""
 _TOLERANCE = 0.02
 _PIN = np.float32(0.005)
 
@@ -45,7 +51,9 @@ def level(resolution: int, gap: float, volume: float) -> int:
     return math.ceil(min(FINEST, max(coarsest, min(resolution, affordable))))
 
 
-def lower_energy(lattice: Lattice, samples: GridSamples, steps: int, each: Listener) -> GridSamples:
+def lower_energy(
+    lattice: Lattice, samples: GridSamples, away: tuple[Floats, Floats], gap: float, steps: int, each: Listener
+) -> GridSamples:
     """Lower the diffuse Willmore energy on one grid.
 
     Parameters
@@ -54,6 +62,10 @@ def lower_energy(lattice: Lattice, samples: GridSamples, steps: int, each: Liste
         The grid.
     samples
         A distance-like field to start from, on any grid.
+    away
+        Distances to the hot and to the cold skeleton, on the lattice's grid.
+    gap
+        Typical distance between the skeletons, unit-cube units.
     steps
         Iterations.
     each
@@ -75,14 +87,17 @@ def lower_energy(lattice: Lattice, samples: GridSamples, steps: int, each: Liste
     hot = lattice.colouring(u)
     colour(u, hot)
     mask = lattice.inside
+    low, high = _tubes(away, gap, eps)
     kept = np.zeros((0, 3), dtype=np.int64)
 
     def project(values: Floats) -> NDArray[np.int64]:
         nonlocal kept
-        kept = topology.follow(hot, values, lattice.inside)
+        short = np.flatnonzero(mask & ((values < low) | (values > high)))
+        np.clip(values, low, high, out=values, where=mask)
+        kept = topology.follow(hot, values, mask, sealed=True)
         at = tuple(kept.T)
         values[at] = np.where(hot[at], _PIN, -_PIN)
-        return np.ravel_multi_index(at, grid.shape)
+        return np.union1d(short, np.ravel_multi_index(at, grid.shape))
 
     def look(step: int, energy: float) -> None:
         if not math.isfinite(energy):
@@ -125,3 +140,14 @@ def straightened(
     start = samples.on(grid) / np.float32(spacing)
     values = straighten(start, slab, steps, _TOLERANCE, lambda step, energy, kept: each(step, steps, energy, kept))
     return continued(values * np.float32(spacing), depth > -BEYOND_VOXELS, grid, lattice.periodic)
+
+
+def _tubes(away: tuple[Floats, Floats], gap: float, eps: float) -> tuple[Floats, Floats]:
+    """Bounds (nx, ny, nz) on the profile that keep a tube round each skeleton."""
+    to_hot, to_cold = away
+    radius, share = _TUBE_OVER_GAP * gap, _TUBE_SHARE * np.abs(to_cold - to_hot) / 2
+    low = np.minimum(profile(np.minimum(radius - to_hot, share), eps), _SURE)
+    high = np.maximum(profile(np.maximum(to_cold - radius, -share), eps), -_SURE)
+    low[(to_hot > radius) | (to_cold < to_hot)] = -np.inf
+    high[(to_cold > radius) | (to_hot < to_cold)] = np.inf
+    return low, high

@@ -6,6 +6,9 @@ along the normals. The mesh only carries the linear problem: the curvature that 
 so the result has no trace of the triangles. The surface goes on beyond the wall, and its contact there is free:
 minimal surfaces at 90° to a freeform wall need not exist near the start, while free ones do.
 
+How far a step is trusted is decided place by place: one that raises ∫(2H)² or would change the topology is taken back
+there only, and damped there the more in the next steps. One damping for all is ruled by the few worst places.
+
 References
 ----------
 Levenberg 1944; for μ as the squared residual, Yamashita and Fukushima 2001, "On the rate of convergence of the
@@ -30,14 +33,21 @@ BEYOND_VOXELS = 4
 _DAMPING = 400.0
 _MOST_DAMPING = 30.0
 """μ is the first times the squared residual, at most the second."""
-_LONGEST = 0.06
-"""Longest motion in a step over the gap between the skeletons."""
-_OUTLIER = 10.0
-"""Over the median |2H|: what is cancelled at once; the start is kinked where it was continued beyond the wall."""
-_STIFF = 1000.0
-_MOST_RISE = 1.1
-"""Of the energy in a step that lowers the mean |H|: the tail must not pay for the middle."""
-_RELAX = np.float32(0.9)
+_LONGEST = 0.08
+"""Longest motion in a step over the gap between the skeletons; the less where the damping was raised."""
+_OUTLIER, _LEAST_OUTLIER = 10.0, 3.0
+"""What is cancelled at once, over the median |2H|, and at least, times the gap: the start is kinked at the wall."""
+_RISE, _RISE_RATIO = 0.3, 1.1
+"""Of ∫(2H)² round a voxel, at which a step is taken back there."""
+_WHOLE_RISE_RATIO = 1.02
+"""Of ∫(2H)² over the whole surface, at which a step is taken back everywhere."""
+_ROUND = 2.0
+"""Width in voxels of what is round a voxel."""
+_LEAST_CAUTION, _MOST_CAUTION = -1.0, 12.0
+_MORE_CAUTION, _FORGOTTEN = 3.0, 0.5
+"""Caution of 1 doubles the damping: the first is added where a step was taken back, the second goes in every step."""
+_RAMP = 4.0
+"""Depth in voxels from which curvature counts whole: at the wall itself the start is kinked."""
 _BEYOND_WEIGHT = 0.03
 _PIN = np.float32(0.02)
 
@@ -86,76 +96,90 @@ def straighten(
     Returns
     -------
     Floats
-        The samples of least mean |H| on the way; their topology inside the domain is that of the start.
+        The samples at the end; their topology inside the domain is that of the start.
 
     Notes
     -----
-    One sparse factorisation a step: 1.3 s of CPU time at 40,000 vertices.
+    One sparse factorisation a step: 1.5 s of CPU time at 60,000 vertices.
     """
-    hot = (values > 0) & slab.inside
-    best = _State.of(values, hot, slab)
-    # Where a step had to be taken back, the surface is stiff for a while, and its surroundings adapt.
-    held = np.zeros(values.shape, dtype=np.float32)
-    caution = 1.0
+    best = _State.of(values, (values > 0) & slab.inside, slab)
+    caution = np.zeros(values.shape, dtype=np.float32)
     for n in range(1, steps + 1):
         if best.typical < tolerance:
             break
-        motion = _motion(best, slab, caution, sample(held, best.sheet.points, slab.periodic))
-        moved = best.values - _continued(motion, best, slab)
-        hot = best.hot.copy()
-        kept = topology.follow(hot, moved, slab.inside, slab.periodic)
-        held *= _RELAX
-        if len(kept):
-            near = _near(kept, values.shape)
-            held = np.maximum(held, near)
-            moved = moved * (1 - near) + best.values * near
-            _pin(moved, hot, topology.follow(hot, moved, slab.inside, slab.periodic))
-        trial = _State.of(moved, hot, slab)
-        better = trial.mean < best.mean and trial.energy < _MOST_RISE * best.energy
-        caution = max(1.0, caution / 2) if better else 4 * caution
-        best = trial if better else best
+        motion = _motion(best, slab, sample(caution, best.sheet.points, slab.periodic))
+        trial, kept = _followed(best, best.values - _continued(motion, best, slab), slab)
+        worse = trial.round(slab) > np.maximum(_RISE_RATIO * best.round(slab), best.round(slab) + _RISE)
+        worse[tuple(kept.T)] = True
+        near = _near(worse)
+        if worse.any():
+            trial, _ = _followed(best, trial.values * (1 - near) + best.values * near, slab)
+        caution = np.clip(caution - _FORGOTTEN + (_MORE_CAUTION + _FORGOTTEN) * near, _LEAST_CAUTION, _MOST_CAUTION)
+        if trial.energy < _WHOLE_RISE_RATIO * best.energy:
+            best = trial
+        else:
+            caution += 2
         each(n, best.energy, len(kept))
     return best.values
 
 
 @dataclass(frozen=True)
 class _State:
-    """A surface and its figures within the domain: ∫(2H)², and mean and median of |2H| times the gap."""
+    """A surface and its figures within the domain: ∫(2H)² without the wall's strip, median of |2H| times the gap."""
 
     values: Floats
     hot: Mask
     jet: Jet
     sheet: Sheet
     energy: float
-    mean: float
     typical: float
 
     @classmethod
     def of(cls, values: Floats, hot: Mask, slab: Slab) -> _State:
         jet = Jet.of(values)
         sheet = Sheet.of(values, jet, slab.depth > -BEYOND_VOXELS, slab.periodic)
-        inside = sample(slab.depth, sheet.points, slab.periodic) > 0
-        bend, mass = np.abs(sheet.bend[inside]), sheet.mass[inside]
-        mean = slab.gap * float(np.average(bend, weights=mass))
-        return cls(values, hot, jet, sheet, float(bend**2 @ mass), mean, slab.gap * float(np.median(bend)))
+        depth = sample(slab.depth, sheet.points, slab.periodic)
+        energy = np.clip(depth / _RAMP, 0, 1) * sheet.mass @ sheet.bend**2
+        return cls(values, hot, jet, sheet, float(energy), slab.gap * float(np.median(np.abs(sheet.bend[depth > 0]))))
+
+    def round(self, slab: Slab) -> Floats:
+        """(nx, ny, nz) ∫(2H)² over the surface round each voxel; at the wall a tenth counts."""
+        sheet, shape = self.sheet, self.values.shape
+        depth = sample(slab.depth, sheet.points, slab.periodic)
+        weight = np.where(depth > -1, np.clip(depth / _RAMP, 0.1, 1), 0) * sheet.mass * sheet.bend**2
+        nearest = np.rint(sheet.points).astype(np.int64)
+        at = np.ravel_multi_index(tuple(nearest.T), shape, mode="wrap" if slab.periodic else "clip")
+        each = np.bincount(at, weight, self.values.size).reshape(shape).astype(np.float32)
+        spread = ndimage.gaussian_filter(each, _ROUND, mode="wrap" if slab.periodic else "constant")
+        return np.asarray(spread * (2 * np.pi * _ROUND**2) ** 1.5)
 
 
-def _motion(state: _State, slab: Slab, caution: float, held: Array) -> Array:
+def _followed(start: _State, values: Floats, slab: Slab) -> tuple[_State, NDArray[np.int64]]:
+    """The state of new samples, held where they would change the topology, and these voxels (K, 3)."""
+    hot, held = start.hot.copy(), values.copy()
+    kept = topology.follow(hot, held, slab.inside, slab.periodic, sealed=True)
+    at = tuple(kept.T)
+    held[at] = np.where(hot[at], _PIN, -_PIN)
+    return _State.of(held, hot, slab), kept
+
+
+def _motion(state: _State, slab: Slab, caution: Array) -> Array:
     """(V,) motion along the normal in voxels: regularised least squares, bounded."""
     sheet = state.sheet
     # In units of the gap, so that the damping means the same on every grid.
     mass = sheet.mass / slab.gap**2
-    most = _OUTLIER * state.typical
+    most = max(_OUTLIER * state.typical, _LEAST_OUTLIER)
     bend = np.clip(sheet.bend * slab.gap, -most, most)
     square = np.minimum(sheet.square * slab.gap**2, 200.0)
     depth = sample(slab.depth, sheet.points, slab.periodic)
     weight = mass * np.clip((depth + BEYOND_VOXELS - 1) / 2, _BEYOND_WEIGHT, 1)
     change = (sparse.diags_array(1 / mass) @ sheet.stiffness - sparse.diags_array(square)).tocsr()
-    damping = caution * min(_DAMPING * state.typical**2, _MOST_DAMPING) * mass * (1 + _STIFF * held)
+    damping = 2**caution * min(_DAMPING * state.typical**2, _MOST_DAMPING) * mass
     normal = change.T @ sparse.diags_array(weight) @ change + sparse.diags_array(damping)
     factors = splu(normal.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     motion = factors.solve(-(change.T @ (weight * bend)))
-    return np.asarray(slab.gap * _LONGEST * np.tanh(motion / _LONGEST))
+    longest = _LONGEST * 2 ** -(np.clip(caution, 0, 6) / 2)
+    return np.asarray(slab.gap * longest * np.tanh(motion / longest))
 
 
 def _continued(motion: Array, state: _State, slab: Slab) -> Floats:
@@ -182,13 +206,8 @@ def _continued(motion: Array, state: _State, slab: Slab) -> Floats:
     return change
 
 
-def _near(kept: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
-    """(nx, ny, nz) 1 at voxels and their neighbours, falling to 0 in four voxels."""
-    free = np.ones(shape, dtype=bool)
-    free[tuple(kept.T)] = False
-    return np.asarray(np.clip((4 - ndimage.distance_transform_edt(free)) / 3, 0, 1), dtype=np.float32)
-
-
-def _pin(values: Floats, hot: Mask, kept: NDArray[np.int64]) -> None:
-    at = tuple(kept.T)
-    values[at] = np.where(hot[at], _PIN, -_PIN)
+def _near(some: Mask) -> Floats:
+    """(nx, ny, nz) 1 at voxels and their neighbours, falling to 0 in six voxels."""
+    if not some.any():
+        return np.zeros(some.shape, dtype=np.float32)
+    return np.asarray(np.clip((6 - ndimage.distance_transform_edt(~some)) / 5, 0, 1), dtype=np.float32)

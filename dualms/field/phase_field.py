@@ -12,13 +12,14 @@ from collections.abc import Callable
 import numpy as np
 
 from dualms.domain import Domain
-from dualms.field import minimal
+from dualms.field import minimal, topology
 from dualms.field.diffusion import INTERFACE_OVER_GAP, INTERFACE_VOXELS, diffuse
 from dualms.field.field import Field, History
-from dualms.field.interface import continued, distance_of
-from dualms.field.lattice import Lattice, colour, typical_gap
+from dualms.field.interface import MARGIN, continued, distance_of
+from dualms.field.lattice import Lattice, typical_gap
 from dualms.field.samples import GridSamples
 from dualms.field.torus import Torus
+from dualms.grid import Grid
 from dualms.progress import Progress
 from dualms.skeletons import Skeletons
 
@@ -26,6 +27,8 @@ DIFFUSED = 0.5
 """The minimality at which the diffusion is complete."""
 LEAST_VOXELS_A_GAP = 6
 """Below, channels break at the grid: a coarser resolution is raised."""
+_PIN = np.float32(0.02)
+"""In voxels: what is left of a detail that is mended."""
 _PHASES = ("diffusion, step", "descent to H = 0, iteration", "Newton's method for H = 0, step")
 _COLUMNS = ("iteration", "resolution", "phase", "energy", "kept_voxels")
 
@@ -65,8 +68,9 @@ def solve_phase_field(
 
     Notes
     -----
-    Nothing is random. On two cores and the authors' U-shape with 300 sites: 4 s of CPU time for the diffusion, 15 s for
-    the descent and 2 s a step of Newton's method.
+    Nothing is random. Beyond 0.5 each fluid's topology is that of the equidistant surface, on the solver's grid and on
+    the one asked for. The authors' U-shape with 370 sites takes 4 s of CPU time for the diffusion, 16 s for the
+    descent, 3 s a step of Newton's method, and 15 s to compare with the equidistant surface at 256.
     """
     gap = typical_gap(domain, skeletons)
     share = max(0.0, 2 * minimality - 1)
@@ -79,28 +83,33 @@ def solve_phase_field(
     descent = 0 if lattice.periodic else round(share * minimal.DESCENT_ITERATIONS)
     newton = math.ceil(share * minimal.NEWTON_STEPS)
     log = _Log(progress, [360, 60 * descent, 3000 * newton])
-    u, _, eps = diffuse(
-        lattice, lattice.distances(skeletons), gap, min(1.0, minimality / DIFFUSED), log.phase(0, level)
-    )
+    away = lattice.distances(skeletons)
+    u, _, eps = diffuse(lattice, away, gap, min(1.0, minimality / DIFFUSED), log.phase(0, level), sealed=share > 0)
     samples = continued(distance_of(u, eps), lattice.inside, lattice.grid, lattice.periodic)
     if descent:
-        samples = minimal.lower_energy(lattice, samples, descent, log.phase(1, level))
+        samples = minimal.lower_energy(lattice, samples, away, gap, descent, log.phase(1, level))
     if newton:
         samples = minimal.straightened(domain, lattice, samples, gap, newton, log.phase(2, level))
     if newton and resolution > level and not lattice.periodic:
-        samples = _without_pockets(Lattice.of(domain, skeletons, resolution), samples)
+        samples = _settled(Lattice.of(domain, skeletons, resolution), skeletons, samples)
     progress.report("field", 1.0)
     return Field(samples, "phase-field", History(_COLUMNS, np.array(log.rows)), "cpu")
 
 
-def _without_pockets(lattice: Lattice, samples: GridSamples) -> GridSamples:
-    """The field on a finer grid if pockets show there, which are given to the fluid around them."""
-    values = samples.on(lattice.grid)
-    hot = lattice.colouring(values)
-    if np.array_equal(hot[lattice.inside], values[lattice.inside] > 0):
+def _settled(lattice: Lattice, skeletons: Skeletons, samples: GridSamples) -> GridSamples:
+    """The field on a finer grid if details show there that the equidistant surface has not, which are mended."""
+    grid, inside = lattice.grid, lattice.inside
+    hot = lattice.colouring(lattice.nearer_to_hot(skeletons) - np.float32(0.5))
+    kept = topology.follow(hot, samples.on(grid), inside, sealed=True)
+    if not len(kept):
         return samples
-    colour(values, hot | ~lattice.inside & (values > 0))
-    return continued(values, lattice.inside, lattice.grid)
+    width = math.ceil(MARGIN / grid.spacing)
+    nx, ny, nz = grid.shape
+    wide = Grid(grid.origin - width * grid.spacing, grid.spacing, (nx + 2 * width, ny + 2 * width, nz + 2 * width))
+    values = samples.on(wide)
+    at = tuple((kept + width).T)
+    values[at] = np.where(hot[tuple(kept.T)], _PIN, -_PIN) * np.float32(grid.spacing)
+    return GridSamples(wide, values)
 
 
 class _Log:

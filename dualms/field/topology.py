@@ -3,7 +3,8 @@
 A voxel may change colour without changing the topology of either colour exactly if it is *simple*: in its 3×3×3
 neighbourhood both colours are locally in one piece. Both are asked for in both adjacencies (6 and 26), which is
 stricter than the usual pair and spares checkerboards that marching cubes would resolve arbitrarily. Neighbours outside
-the domain are left out.
+the domain are left out, so that a fluid may come to the wall or leave it; where the wall is *sealed*, the outside
+counts to what is beside each colour, and a film along the wall may not be pierced either.
 
 References
 ----------
@@ -68,33 +69,42 @@ def _pieces(member: NDArray[np.bool_], start: NDArray[np.bool_], touch: NDArray[
 
 
 @njit(cache=True)
-def _is_simple(hot, inside, periodic, i, j, k, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
+def _is_simple(hot, inside, periodic, sealed, i, j, k, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
     of_hot = np.zeros(27, dtype=np.bool_)
     of_cold = np.zeros(27, dtype=np.bool_)
+    beside_hot = np.zeros(27, dtype=np.bool_)
+    beside_cold = np.zeros(27, dtype=np.bool_)
     for c in range(27):
         a, b, d = i + cells[c, 0], j + cells[c, 1], k + cells[c, 2]
         if not is_any[c]:
             continue
         if periodic:
             a, b, d = a % hot.shape[0], b % hot.shape[1], d % hot.shape[2]
-        if a < 0 or b < 0 or d < 0:
-            continue
-        if a >= hot.shape[0] or b >= hot.shape[1] or d >= hot.shape[2] or not inside[a, b, d]:
-            continue
-        if hot[a, b, d]:
-            of_hot[c] = True
-        else:
-            of_cold[c] = True
-    return (
+        out = a < 0 or b < 0 or d < 0 or a >= hot.shape[0] or b >= hot.shape[1] or d >= hot.shape[2]
+        out = out or not inside[a, b, d]
+        of_hot[c] = not out and hot[a, b, d]
+        of_cold[c] = not out and not hot[a, b, d]
+        beside_hot[c] = of_cold[c] or out
+        beside_cold[c] = of_hot[c] or out
+    alone = (
         _pieces(of_hot, is_face, touch6) == 1
         and _pieces(of_cold, is_any, touch26) == 1
         and _pieces(of_cold, is_face, touch6) == 1
         and _pieces(of_hot, is_any, touch26) == 1
     )
+    return alone and (
+        not sealed
+        or (
+            _pieces(beside_hot, is_face, touch6) == 1
+            and _pieces(beside_hot, is_any, touch26) == 1
+            and _pieces(beside_cold, is_face, touch6) == 1
+            and _pieces(beside_cold, is_any, touch26) == 1
+        )
+    )
 
 
 @njit(cache=True)
-def _flip_simple(hot, inside, periodic, order, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
+def _flip_simple(hot, inside, periodic, sealed, order, cells, touch6, touch26, is_face, is_any):  # type: ignore[no-untyped-def]
     """Change the colour of the listed voxels where that is simple, in rounds until none is left to change."""
     pending = np.ones(len(order), dtype=np.bool_)
     changed = True
@@ -104,14 +114,16 @@ def _flip_simple(hot, inside, periodic, order, cells, touch6, touch26, is_face, 
             if not pending[n]:
                 continue
             i, j, k = order[n, 0], order[n, 1], order[n, 2]
-            if _is_simple(hot, inside, periodic, i, j, k, cells, touch6, touch26, is_face, is_any):
+            if _is_simple(hot, inside, periodic, sealed, i, j, k, cells, touch6, touch26, is_face, is_any):
                 hot[i, j, k] = not hot[i, j, k]
                 pending[n] = False
                 changed = True
     return pending
 
 
-def follow(hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool = False) -> NDArray[np.int64]:
+def follow(
+    hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool = False, sealed: bool = False
+) -> NDArray[np.int64]:
     """Bring a colouring towards the sign of ``values`` without changing its topology.
 
     Parameters
@@ -124,6 +136,8 @@ def follow(hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool 
         (nx, ny, nz) the domain.
     periodic
         Whether the box continues across its faces.
+    sealed
+        Whether each colour's own topology is kept, also where the other one could come between it and the wall.
 
     Returns
     -------
@@ -136,7 +150,7 @@ def follow(hot: Mask, values: NDArray[np.float32], inside: Mask, periodic: bool 
         return order
     # The surest first: it has moved farthest past the interface.
     order = order[np.argsort(-np.abs(values[tuple(order.T)]), kind="stable")]
-    kept = _flip_simple(hot, inside, periodic, order, _CELLS, _TOUCH6, _TOUCH26, _IS_FACE, _IS_ANY)
+    kept = _flip_simple(hot, inside, periodic, sealed, order, _CELLS, _TOUCH6, _TOUCH26, _IS_FACE, _IS_ANY)
     return np.asarray(order[kept], dtype=np.int64)
 
 

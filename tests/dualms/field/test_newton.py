@@ -25,7 +25,9 @@ def test_a_wavy_plane_becomes_minimal_within_the_domain() -> None:
     x, y, z = np.indices((N, N, N))
     where = slab(gap=N / 2)
     _, energies = straightened(z - 15.6 - np.sin(2 * np.pi * x / 20) * np.cos(2 * np.pi * y / 20), where, 8)
-    assert energies[-1] < 0.01 * energies[0]
+    # The first step has taken most already.
+    assert energies[0] < 0.3
+    assert energies[-1] < 0.02 * energies[0]
 
 
 def test_a_catenoid_is_recovered_from_a_tube_of_its_topology() -> None:

@@ -50,3 +50,18 @@ def test_pockets_go_to_the_other_colour_and_skeleton_pieces_stay() -> None:
     clean, changed = topology.without_pockets(hot, inside, bones)
     assert changed == 2
     assert topology.component_counts(clean, inside) == (1, 1)
+
+
+def test_a_sealed_wall_keeps_a_film_whole_that_an_open_one_lets_pierce() -> None:
+    inside = np.zeros((13, 13, 13), dtype=bool)
+    inside[1:-1, 1:-1, 1:-1] = True
+    hot = np.zeros_like(inside)
+    hot[1:-1, 1:-1, 1:3] = True
+    # The cold fluid above the film wants to reach the wall below it.
+    values = np.where(hot, np.float32(1), np.float32(-1))
+    values[5:8, 5:8, 1:3] = -1
+    for sealed, euler in ((False, 0), (True, 1)):
+        film = hot.copy()
+        topology.follow(film, values, inside, sealed=sealed)
+        assert topology.euler_characteristic(film) == euler
+        assert topology.component_counts(film, inside) == (1, 1)

@@ -5,7 +5,9 @@ import pytest
 import trimesh
 from skimage.measure import marching_cubes
 
+from dualms.grid import Grid
 from dualms.measure.curvature import away_from_boundary, curvature_measure, mean_curvature, vertex_areas
+from dualms.tpms import tpms_field
 
 
 def tube(n: int, radius_of, length: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -90,3 +92,40 @@ def test_boundary_strip_is_left_out() -> None:
 
 def test_a_lone_triangle_has_no_fit() -> None:
     assert np.isnan(mean_curvature(np.eye(3), np.array([[0, 1, 2]]))).all()
+
+
+def nodal_p(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """One cell of cos 2πx + cos 2πy + cos 2πz = 0 by marching cubes."""
+    vertices, faces, _, _ = marching_cubes(tpms_field("p", Grid(np.zeros(3), 1 / n, (n + 1,) * 3), 1.0), 0.0)
+    return vertices.astype(float) / n, faces.astype(np.int64)
+
+
+def exact_nodal_p(points: np.ndarray) -> np.ndarray:
+    """H of the level set through each point, half the divergence of its normal, from the formula's derivatives."""
+    gradient = -2 * np.pi * np.sin(2 * np.pi * points)
+    second = -((2 * np.pi) ** 2) * np.cos(2 * np.pi * points)
+    length = np.linalg.norm(gradient, axis=1)
+    return (second.sum(axis=1) - (gradient**2 * second).sum(axis=1) / length**2) / (2 * length)
+
+
+def test_quadric_fit_converges_on_a_periodic_surface_from_marching_cubes() -> None:
+    errors = []
+    for n in (64, 128):
+        vertices, faces = nodal_p(n)
+        inner = away_from_boundary(vertices, faces, 0.2)
+        errors.append(np.abs(mean_curvature(vertices, faces) - exact_nodal_p(vertices))[inner].max())
+    # |H| of this surface goes to 0.36 there.
+    assert errors[1] < 0.02
+    assert np.log2(errors[0] / errors[1]) > 1.6
+
+
+def test_curvature_measure_converges_on_a_periodic_surface_in_first_order() -> None:
+    errors = []
+    for n in (32, 128):
+        vertices, faces = nodal_p(n)
+        at = np.flatnonzero(away_from_boundary(vertices, faces, 0.2))
+        at = at[:: len(at) // 60]
+        error = curvature_measure(vertices, faces, 0.1, at) - exact_nodal_p(vertices[at])
+        errors.append(np.sqrt((error**2).mean()))
+    assert errors[1] < 0.05
+    assert np.log2(errors[0] / errors[1]) / 2 > 0.8
