@@ -21,7 +21,7 @@ from dualms.triangles import TriangleMesh
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
-SAG = 0.035  # of half the thickness: how far the middle of an edge may lie off
+SAG = 0.025  # of half the thickness: how far the middle of an edge may lie off
 BAND_VOXELS = 1.5  # of exact distance beyond half the wall: an edge that crosses its surface ends within one
 THICKEST = 0.12  # unit-cube units; thicker is not tried for a wall given by its share
 SHARE_RESOLUTION = 96  # a share's thickness is then right to 0.3 % (multi-bend, shares of 0.05 to 0.2, against 1/192)

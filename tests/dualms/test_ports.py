@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from dualms.errors import InvalidSpec, OverlappingPorts, PortNotOnBoundary
-from dualms.ports import resolve_ports
+from dualms.mesh import DomainMesh
+from dualms.ports import SAMPLES_ACROSS, resolve_ports
 from dualms.spec import FluidsSpec, Unit
 from tests.dualms.shapes import box_mesh, end_ports, shared_ends
 
@@ -70,3 +72,16 @@ def test_lateral_distance_is_that_of_the_circle() -> None:
     port = resolve_ports(box_mesh(), end_ports(radius=8.0), Unit.MM)[0]
     points = np.array([[0.01, 0.015, 0.02], [0.01, 0.015 + 0.006, 0.02], [-0.02, 0.015, 0.03]])
     np.testing.assert_allclose(port.lateral(points), [0.008, 0.002, -0.002], atol=1e-12)
+
+
+def test_a_tube_of_slivers_is_sampled_as_its_area_asks() -> None:
+    # 2,000 of its triangles are as long as the tube and 3/1000 of it wide: at the longest edge's pitch in both
+    # directions they alone would have 300 million samples.
+    tube = trimesh.creation.cylinder(radius=0.5, height=1.0, sections=1000)
+    mesh = DomainMesh(np.asarray(tube.vertices), np.asarray(tube.faces), Unit.M)
+    lower, upper = ([{"facet": k}] for k in range(2))
+    given = {"hot": {"inlets": lower, "outlets": upper}, "cold": {"inlets": upper, "outlets": lower}}
+    (port, *_) = resolve_ports(mesh, FluidsSpec.model_validate(given), Unit.M)
+    assert len(port.samples) < 2_000_000
+    assert port.area == pytest.approx(np.pi / 4, rel=1e-4)
+    assert np.linalg.norm(port.samples - port.center, axis=1).min() < 1 / SAMPLES_ACROSS
