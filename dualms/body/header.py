@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualms.booleans import Solid
+from dualms.boundary import SAMPLES_ACROSS
 from dualms.grid import Grid
-from dualms.ports import SAMPLES_ACROSS, Port
+from dualms.ports import Port
 from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]

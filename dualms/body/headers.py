@@ -11,10 +11,11 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from dualms.body.header import SIDES, Header, circle, directions
 from dualms.booleans import Solid
+from dualms.boundary import SAMPLES_ACROSS
 from dualms.domain import Domain
 from dualms.errors import InvalidSpec
 from dualms.grid import Grid
-from dualms.ports import SAMPLES_ACROSS, Port
+from dualms.ports import Port
 from dualms.spec import FluidsSpec, HeaderSpec, ShellSpec, Unit
 
 Array = NDArray[np.float64]

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from dualms.ports import SAMPLES_ACROSS, Port
+from dualms.boundary import SAMPLES_ACROSS
+from dualms.ports import Port
 from dualms.triangles import TriangleMesh
 
 INTERFACE, WALL = 0, 1

@@ -12,10 +12,11 @@ from scipy.spatial import cKDTree
 from dualms.body.header import Header
 from dualms.body.headers import at_pipe_ends
 from dualms.body.thickness import GradedWall, Wall, mean_thickness, thickness_at
+from dualms.boundary import SAMPLES_ACROSS
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked
 from dualms.grid import Array, Grid
-from dualms.ports import SAMPLES_ACROSS, Port
+from dualms.ports import Port
 
 Labels = NDArray[np.int8]
 Index = NDArray[np.int64]

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from dualms.boundary import SAMPLES_ACROSS
 from dualms.errors import InvalidSpec, OverlappingPorts, PortNotOnBoundary
 from dualms.mesh import DomainMesh
-from dualms.ports import SAMPLES_ACROSS, resolve_ports
+from dualms.ports import resolve_ports
 from dualms.spec import FluidsSpec, Unit
 from tests.dualms.shapes import box_mesh, end_ports, shared_ends
 
