@@ -127,7 +127,7 @@ class _Campaign:
 
     def _send(self) -> None:
         for number in range(self._plan.jobs):
-            due = number * self._plan.kills / self._plan.jobs - 5
+            due = number * self._plan.kills / max(self._plan.jobs - 1, 1) - 2
             while self.seen.killed.total() < due and not self._over.is_set() and not self._stop.wait(0.2):
                 pass
             body = {"domain": self._domain, "spec": _spec(number)}

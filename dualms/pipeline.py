@@ -108,7 +108,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     inside, outside = shells(spec.shell, units, domain)
     shell = inside or outside
     grid = domain.grid(spec.surface.resolution, padding=4 + ceil(outside * spec.surface.resolution))
-    wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, spec.surface.resolution, field.on))
+    wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, field.on))
     band = greatest(wall) / 2 + BAND_VOXELS * grid.spacing
     surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell, outside))
     headers = headers_of(domain, spec.fluids, units, spec.shell)

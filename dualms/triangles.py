@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,13 @@ class TriangleMesh:
         if len(self.faces) and not 0 <= self.faces.min() <= self.faces.max() < len(self.vertices):
             raise ValueError("faces must index the vertices")
 
-    @property
+    @cached_property
     def crosses(self) -> Array:
         """(F, 3) edge cross products: twice the area along the normal."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return np.asarray(np.cross(b - a, c - a))
 
-    @property
+    @cached_property
     def areas(self) -> Array:
         """(F,) triangle areas."""
         return np.asarray(np.linalg.norm(self.crosses, axis=1) / 2)

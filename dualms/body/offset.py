@@ -22,7 +22,7 @@ from dualms.triangles import TriangleMesh
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-ROUNDS = 2  # each halves an edge, so its sag falls to a sixteenth
+ROUNDS = 3  # each halves an edge, so its sag falls to a quarter
 FARTHEST_MOVE_VOXELS = 0.5  # the caps at the grid's end lie further away and stay
 SMOOTH_COSINE = 0.9  # between the normals of an edge's ends: below, its sag is measured, not estimated
 UNFOLDINGS = 12

@@ -16,7 +16,6 @@ from dualms.errors import WallTooThick
 from dualms.grid import Grid
 from dualms.spec import Unit, WallGraded, WallSpec, WallThickness
 from dualms.surface import Surface, extract_surface, level_set
-from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -24,7 +23,7 @@ Values = NDArray[np.float32]
 SAG = 0.025  # of half the thickness: how far the middle of an edge may lie off
 BAND_VOXELS = 1.5  # of exact distance beyond half the wall: an edge that crosses its surface ends within one
 THICKEST = 0.12  # unit-cube units; thicker is not tried for a wall given by its share
-SHARE_RESOLUTION = 96  # a share's thickness is then right to 0.3 % (multi-bend, shares of 0.05 to 0.2, against 1/192)
+SHARE_RESOLUTION = 64  # and its double: a share's two grids
 
 
 def graded_wall(spec: WallSpec, units: Unit, domain: Domain) -> GradedWall | None:
@@ -32,9 +31,7 @@ def graded_wall(spec: WallSpec, units: Unit, domain: Domain) -> GradedWall | Non
     return GradedWall.of(spec, units, domain) if isinstance(spec, WallGraded) else None
 
 
-def wall_thickness(
-    spec: WallSpec, units: Unit, domain: Domain, resolution: int, field: Callable[[Grid], Values]
-) -> Wall:
+def wall_thickness(spec: WallSpec, units: Unit, domain: Domain, field: Callable[[Grid], Values]) -> Wall:
     """Thickness of the wall in unit-cube units.
 
     Parameters
@@ -45,16 +42,14 @@ def wall_thickness(
         Unit of the specification.
     domain
         The envelope.
-    resolution
-        Of the grid that the surface will be taken on.
     field
         Samples of the field on a grid.
 
     Returns
     -------
     Wall
-        The thickness, or a graded wall. A share is first met on voxels, on a grid of 1/96 at the finest, then corrected
-        once by the exact volumes.
+        The thickness, or a graded wall. A share is met on the voxels of two grids; the thickness's error falls with the
+        square of their spacing, and is extrapolated to none.
 
     Raises
     ------
@@ -65,19 +60,27 @@ def wall_thickness(
         return spec.thickness * units.metres / domain.scale_m
     if isinstance(spec, WallGraded):
         return GradedWall.of(spec, units, domain)
-    grid = domain.grid(min(resolution, SHARE_RESOLUTION), padding=4)
-    surface = extract_surface(domain, field(grid), grid, THICKEST / 2 + BAND_VOXELS * grid.spacing)
-    if wall_share(surface, THICKEST / 2) < spec.volume_fraction:
+    coarse = _half_of_share(spec.volume_fraction, domain, SHARE_RESOLUTION, THICKEST / 2, field)
+    if coarse is None:
         raise WallTooThick(
             f"A wall of {100 * spec.volume_fraction:.3g} % of the domain would be thicker than "
             f"{THICKEST * domain.scale_m / units.metres:.3g} {units.value}.",
             advice="Ask for a smaller volume_fraction or more sites.",
             measured={"volume_fraction": spec.volume_fraction},
         )
-    half: float = brentq(lambda h: wall_share(surface, h) - spec.volume_fraction, 0.0, THICKEST / 2, xtol=1e-6)
-    envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
-    left = sum((side & envelope).volume for side in channels(surface, 2 * half, 0.0))
-    return 2 * half * spec.volume_fraction / (1 - left / envelope.volume)
+    fine = _half_of_share(spec.volume_fraction, domain, 2 * SHARE_RESOLUTION, 1.2 * coarse, field) or coarse
+    return 2 * (fine + (fine - coarse) / 3)
+
+
+def _half_of_share(
+    share: float, domain: Domain, resolution: int, most: float, field: Callable[[Grid], Values]
+) -> float | None:
+    """Half the thickness of a wall that takes a share of the domain on a grid; None if that is more than ``most``."""
+    grid = domain.grid(resolution, padding=4)
+    surface = extract_surface(domain, field(grid), grid, most + BAND_VOXELS * grid.spacing)
+    if wall_share(surface, most) < share:
+        return None
+    return float(brentq(lambda half: wall_share(surface, half) - share, 0.0, most, xtol=1e-6))
 
 
 def wall_share(surface: Surface, half: float | Values) -> float:

@@ -115,7 +115,7 @@ def test_a_wall_or_shell_that_fills_the_domain_is_refused(wall: float, shell: fl
 
 def test_a_wall_by_volume_fraction_takes_that_share() -> None:
     domain = domain_of(box_mesh(), shared_ends())
-    wall = wall_thickness(WallFraction(volume_fraction=0.1), Unit.MM, domain, 64, lambda grid: gyroid(grid, 0.5))
+    wall = wall_thickness(WallFraction(volume_fraction=0.1), Unit.MM, domain, lambda grid: gyroid(grid, 0.5))
     grid = domain.grid(64, padding=4)
     surface = extract_surface(domain, gyroid(grid, 0.5), grid, 0.1)
     body = make_body(domain, surface, wall, 0.0)
