@@ -78,15 +78,19 @@ def solve_phase_field(
     enough = math.ceil(INTERFACE_VOXELS / (INTERFACE_OVER_GAP * gap))
     least = min(math.ceil(LEAST_VOXELS_A_GAP / gap), minimal.FINEST)
     level = minimal.level(resolution, gap, domain.volume) if share > 0 else min(max(resolution, least), enough)
-    lattice = Lattice.of(domain, skeletons, level)
+    coarse = min(level, enough)
+    lattice = Lattice.of(domain, skeletons, coarse)
     # The descent's stencils end at a wall; on a torus the diffused surface is near enough for Newton's method.
     descent = 0 if lattice.periodic else round(share * minimal.DESCENT_ITERATIONS)
     newton = math.ceil(share * minimal.NEWTON_STEPS)
     log = _Log(progress, [360, 60 * descent, 3000 * newton])
     away = lattice.distances(skeletons)
-    u, _, eps = diffuse(lattice, away, gap, min(1.0, minimality / DIFFUSED), log.phase(0, level), sealed=share > 0)
+    u, _, eps = diffuse(lattice, away, gap, min(1.0, minimality / DIFFUSED), log.phase(0, coarse), sealed=share > 0)
     samples = continued(distance_of(u, eps), lattice.inside, lattice.grid, lattice.periodic)
+    if coarse < level:
+        lattice = Lattice.of(domain, skeletons, level)
     if descent:
+        away = lattice.distances(skeletons) if coarse < level else away
         samples = minimal.lower_energy(lattice, samples, away, gap, descent, log.phase(1, level))
     if newton:
         samples = minimal.straightened(domain, lattice, samples, gap, newton, log.phase(2, level))
