@@ -1,6 +1,7 @@
 """The field solvers against closed forms, the paper, and each other.
 
-    python benchmarks/field.py classical                     P, G, D, I-WP from their skeletons, against exact areas
+    python benchmarks/field.py classical                     P, G, D, I-WP from their skeletons, against exact areas;
+                                                             with --methods distilled neural by networks
     python benchmarks/field.py minimal DOMAIN SPEC …         the minimal end: curvature, area density, topology, by seed
     python benchmarks/field.py convergence DOMAIN SPEC       the same on three grids
     python benchmarks/field.py control DOMAIN SPEC           equidistant to minimal in one envelope
@@ -28,24 +29,16 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import trimesh
 from field_cases import MEASURED_AT, Case, Row, figures, level_set, mesh_figures, minimal_at, prepared, solved
-from field_nets import EXACT_AREA, NETS, PAPER_AREA, sampled
+from field_nets import NETS
 from field_pictures import by_curvature
 
-from dualms.field.phase_field import solve_phase_field
-from dualms.field.torus import Torus
-from dualms.grid import Grid
-from dualms.measure.curvature import away_from_boundary, mean_curvature, vertex_areas
-from dualms.progress import Silent
 from dualms.spec import DistilledField, GraphSpec, NeuralField, PhaseField, Spec
-from dualms.tpms import Kind, tpms_field
 
 RESULTS = Path(__file__).parent / "results" / "field"
-NODAL: dict[str, Kind] = {"P": "p", "G": "gyroid", "D": "d", "I-WP": "iwp"}
 SMOOTHING_ROUNDS = (0, 3, 10, 30)
 
 
@@ -62,7 +55,8 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--sites", type=int, help="instead of the specification's")
     parser.add_argument("--graph", choices=["aligned", "paper"], help="graph preset instead of the specification's")
-    parser.add_argument("--methods", nargs="+", default=["phase-field", "distilled"])
+    parser.add_argument("--methods", nargs="+", choices=["phase-field", "distilled", "neural"])
+    parser.add_argument("--surfaces", nargs="+", choices=list(NETS), default=list(NETS))
     parser.add_argument("--points", type=int, default=4096)
     parser.add_argument("--name", help="of the result, instead of the mode's")
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
@@ -77,45 +71,12 @@ def main() -> int:
 
 
 def classical(given: argparse.Namespace) -> list[Row]:
-    """One cell of each surface on the torus, minimal and diffused, and the nodal formula beside them."""
-    grid = Grid(np.zeros(3), 1 / 192, (193,) * 3)
-    rows, shown = [], []
-    for name, nets in NETS.items():
-        hot, cold = (sampled(net, 1.0) for net in nets())
-        values = {"nodal": tpms_field(NODAL[name], grid, 1.0)}
-        spent = {"nodal": (0.0, 0.0)}
-        for label, minimality in (("diffused", 0.5), ("minimal", 1.0)):
-            began, busy = time.perf_counter(), time.process_time()
-            net = SimpleNamespace(hot=hot, cold=cold)
-            field = solve_phase_field(Torus(), net, given.grid, minimality, Silent())  # type: ignore[arg-type]
-            spent[label] = time.perf_counter() - began, time.process_time() - busy
-            values[label] = field.on(grid)
-        for label, samples in values.items():
-            sampled_field = SimpleNamespace(on=lambda _, samples=samples: samples)
-            vertices, faces = level_set(sampled_field, grid)  # type: ignore[arg-type]
-            h = np.abs(mean_curvature(vertices, faces)[away_from_boundary(vertices, faces, 4 / 192)])
-            area = float(vertex_areas(vertices, faces).sum())
-            theirs = 100 * (PAPER_AREA[name] - 1) if name in PAPER_AREA else None
-            rows.append(
-                {
-                    "surface": name,
-                    "kind": label,
-                    "area": area,
-                    "exact": EXACT_AREA[name],
-                    "error_%": 100 * (area / EXACT_AREA[name] - 1),
-                    "paper_error_%": theirs,
-                    "median_abs_H": float(np.nanmedian(h)),
-                    "max_abs_H": float(np.nanmax(h)),
-                    "vertices": len(vertices),
-                    "faces": len(faces),
-                    "seconds": spent[label][0],
-                    "cpu_seconds": spent[label][1],
-                }
-            )
-            told(rows[-1])
-            if label != "diffused":
-                shown.append((f"{name}, {label}: area {area:.4f}", vertices, faces))
-    by_curvature(shown, 0.5, RESULTS / "classical.png")
+    """One cell of each surface on the torus by each method, and the nodal formula beside them."""
+    from field_classical import classical
+
+    given.methods = given.methods or ["phase-field"]
+    rows, shown = classical(given, told)
+    by_curvature(shown, 0.5, RESULTS / f"{given.name or given.mode}.png")
     return rows
 
 
@@ -179,7 +140,7 @@ def compare(given: argparse.Namespace) -> list[Row]:
         "distilled": DistilledField(method="distilled", resolution=given.grid),
     }
     rows: list[Row] = []
-    for name in given.methods:
+    for name in given.methods or ["phase-field", "distilled"]:
         field, spent = solved(case, specs[name])
         rows.append({"method": name, **figures(case, field), **spent})
         for key in ("area_density", "median_abs_H"):

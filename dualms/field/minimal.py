@@ -28,6 +28,8 @@ from dualms.grid import Grid
 INTERFACE_VOXELS = 1.2
 COARSEST_OVER_GAP = 0.115
 """Coarsest voxel over the gap: above, the interfaces of neighbouring channels feel each other."""
+VOXELS_A_GAP = 24
+"""Beyond, a finer grid gains nothing: splines refine the result as well."""
 VERTICES = 40_000
 """Vertices of the surface's mesh up to which a finer grid is used; beyond, only where the gap asks for it."""
 FINEST = 512
@@ -45,10 +47,10 @@ Listener = Callable[[int, int, float, int], None]
 
 
 def level(resolution: int, gap: float, volume: float) -> int:
-    """The grid's resolution: what is asked for, as far as it resolves the gap and the mesh stays small."""
+    """The grid's resolution: what is asked for, as far as it resolves the gap and pays, and the mesh stays small."""
     affordable = math.sqrt(VERTICES * gap / (2 * volume))
     coarsest = 1 / (COARSEST_OVER_GAP * gap)
-    return math.ceil(min(FINEST, max(coarsest, min(resolution, affordable))))
+    return math.ceil(min(FINEST, max(coarsest, min(resolution, affordable, VOXELS_A_GAP / gap))))
 
 
 def lower_energy(

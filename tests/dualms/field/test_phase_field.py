@@ -104,7 +104,8 @@ def test_the_minimal_ends_grid_resolves_the_gap_and_is_no_finer_than_it_pays() -
     assert level(64, 0.0828, 0.168) == 106, "too coarse for the gap: raised"
     assert level(256, 0.0828, 0.168) == 106, "a finer mesh would be too large"
     assert level(48, 0.43, 1.0) == 48
-    assert level(256, 0.43, 1.0) == 93
+    assert level(256, 0.2, 1.0) == 64
+    assert level(256, 0.43, 1.0) == 56, "a finer grid gains nothing"
 
 
 @pytest.mark.parametrize(
