@@ -40,7 +40,7 @@ _TUBE_SHARE = 0.6
 """Of half the way to the other skeleton: tubes are not thicker than that."""
 _SURE = np.float32(0.9)
 """Profile beyond which a tube asks for nothing."""
-_TOLERANCE = 0.05
+_TOLERANCE = 0.1
 _PIN = np.float32(0.005)
 
 Listener = Callable[[int, int, float, int], None]

@@ -17,6 +17,7 @@ Levenberg-Marquardt method".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -88,7 +89,7 @@ def straighten(
     steps
         At most so many.
     tolerance
-        Median of |2H| times the gap at which it ends.
+        Root mean square of 2H times the gap at which it ends.
     each
         Called after every step with its number, ∫(2H)² over the surface in the domain, and the number of voxels that
         would have changed the topology.
@@ -105,7 +106,7 @@ def straighten(
     best = _State.of(values, (values > 0) & slab.inside, slab)
     caution = np.zeros(values.shape, dtype=np.float32)
     for n in range(1, steps + 1):
-        if best.typical < tolerance:
+        if best.deviation < tolerance:
             break
         motion = _motion(best, slab, sample(caution, best.sheet.points, slab.periodic))
         trial, kept = _followed(best, best.values - _continued(motion, best, slab), slab)
@@ -125,13 +126,18 @@ def straighten(
 
 @dataclass(frozen=True)
 class _State:
-    """A surface and its figures within the domain: ∫(2H)² without the wall's strip, median of |2H| times the gap."""
+    """A surface and its figures within the domain.
+
+    ``energy`` is ∫(2H)² without the wall's strip; ``deviation`` its root mean and ``typical`` the median of |2H|, times
+    the gap.
+    """
 
     values: Floats
     hot: Mask
     jet: Jet
     sheet: Sheet
     energy: float
+    deviation: float
     typical: float
 
     @classmethod
@@ -139,8 +145,11 @@ class _State:
         jet = Jet.of(values)
         sheet = Sheet.of(values, jet, slab.depth > -BEYOND_VOXELS, slab.periodic)
         depth = sample(slab.depth, sheet.points, slab.periodic)
-        energy = np.clip(depth / _RAMP, 0, 1) * sheet.mass @ sheet.bend**2
-        return cls(values, hot, jet, sheet, float(energy), slab.gap * float(np.median(np.abs(sheet.bend[depth > 0]))))
+        weight = np.clip(depth / _RAMP, 0, 1) * sheet.mass
+        energy = float(weight @ sheet.bend**2)
+        deviation = slab.gap * math.sqrt(energy / max(float(weight.sum()), 1.0))
+        typical = slab.gap * float(np.median(np.abs(sheet.bend[depth > 0])))
+        return cls(values, hot, jet, sheet, energy, deviation, typical)
 
     def round(self, slab: Slab) -> Floats:
         """(nx, ny, nz) ∫(2H)² over the surface round each voxel; at the wall a tenth counts."""
