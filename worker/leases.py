@@ -12,7 +12,7 @@ from __future__ import annotations
 from sqlalchemy import func, or_, select, update
 
 from dualms.spec import Spec
-from dualms.steps import steps_of
+from dualms.steps import STEPS, steps_of
 from worker import tables, totals, views
 from worker.code import code_id
 from worker.database import Now
@@ -74,7 +74,10 @@ class Leases:
             )
             session.refresh(row)
             domain = session.get_one(tables.Domain, row.domain_id)
-            files = session.scalars(select(tables.DesignArtifact).where(tables.DesignArtifact.design_id == design_id))
+            # A design that starts over still lists what its later steps made, which may be gone.
+            earlier = STEPS[: STEPS.index(row.step)]
+            a = tables.DesignArtifact
+            files = session.scalars(select(a).where(a.design_id == design_id, a.step.in_(earlier)))
             return Lease(
                 design=views.design_record(row),
                 domain=views.domain_record(domain),

@@ -58,6 +58,9 @@ def test_what_the_first_version_had_begun_starts_over_with_this_code(old: Path) 
     again = leases.requeue.start_over(half, "updated")
     assert again is not None
     assert (again.step, again.final) == ("prepare", False)
+    claimed = [leases.claim("cpu", "w") for _ in range(2)]
+    (once_more,) = [lease for lease in claimed if lease is not None and lease.id == half.id]
+    assert once_more.inputs == (), "what it made the first time may be gone"
     records.close()
 
 
