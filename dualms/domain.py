@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from dualms.booleans import Solid
 from dualms.errors import DisconnectedDomain
 from dualms.grid import Array, Grid, thinned
 from dualms.mesh import DomainMesh
 from dualms.ports import Port
+from dualms.triangles import TriangleMesh
 
+LONGEST_EDGE = 1 / 64  # of the triangles that distances are taken from, unit-cube units
 Mask = NDArray[np.bool_]
 
 
@@ -66,6 +69,15 @@ class Domain:
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
+    @cached_property
+    def _fine(self) -> TriangleMesh:
+        """The boundary in triangles of at most 1/64.
+
+        Distances from long thin triangles, and their winding numbers, cost up to ten times as much.
+        """
+        refined = Solid.of(TriangleMesh(self.vertices, self.faces)).manifold.refine_to_length(LONGEST_EDGE)
+        return Solid(refined, -1).mesh()
+
     def grid(self, resolution: int, padding: int = 3) -> Grid:
         """A grid of spacing 1/resolution that covers the domain."""
         return Grid.around(*self.bounds, resolution, padding)
@@ -74,7 +86,7 @@ class Domain:
         """(P,) whether points (P, 3) lie inside."""
         if len(points) == 0:
             return np.zeros(0, dtype=bool)
-        winding = igl.fast_winding_number(self.vertices, self.faces, np.ascontiguousarray(points))
+        winding = igl.fast_winding_number(self._fine.vertices, self._fine.faces, np.ascontiguousarray(points))
         return np.asarray(winding > 0.5, dtype=bool)
 
     def signed_distance(self, points: Array) -> Array:
@@ -93,7 +105,7 @@ class Domain:
         """
         near = self._near_boundary(grid, band)
         distance = np.full(grid.shape, band)
-        squared, _, _ = igl.point_mesh_squared_distance(grid.points(near), self.vertices, self.faces)
+        squared, _, _ = igl.point_mesh_squared_distance(grid.points(near), self._fine.vertices, self._fine.faces)
         distance[near] = np.minimum(np.sqrt(squared), band)
         far = distance > 0.51 * grid.spacing
         inside = np.zeros(grid.shape, dtype=bool)

@@ -7,17 +7,18 @@ divides differences of values by 1/128, and eight bits leave little of them (``d
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
-from dualms.field.losses import Function
+from dualms.field.losses import Trainable
 
 
-def accelerated(function: Function, device: torch.device, *, twice_differentiated: bool = False) -> Function:
-    """A function of points, as fast as a device can have it.
+def accelerated(model: Trainable, device: torch.device, *, twice_differentiated: bool = False) -> Trainable:
+    """A network, as fast as a device can have it.
 
     Parameters
     ----------
-    function
-        (P, 3) points to (P,) values, called with few different numbers of points.
+    model
+        Called with few different numbers of points.
     device
         Where it will be called.
     twice_differentiated
@@ -25,13 +26,27 @@ def accelerated(function: Function, device: torch.device, *, twice_differentiate
 
     Returns
     -------
-    Function
-        The function itself, but on CUDA devices.
+    Trainable
+        The network itself, but on CUDA devices.
     """
     if device.type != "cuda":
-        return function
+        return model
     torch.set_float32_matmul_precision("high")
-    if twice_differentiated:
-        return function
-    compiled: Function = torch.compile(function, mode="reduce-overhead", dynamic=False)
-    return compiled
+    return model if twice_differentiated else _Compiled(model)
+
+
+class _Compiled:
+    """A network's passes as CUDA graphs."""
+
+    def __init__(self, model: Trainable) -> None:
+        self._at, self._mirrored = (
+            torch.compile(passes, mode="reduce-overhead", dynamic=False) for passes in (model, model.mirrored)
+        )
+
+    def __call__(self, points: Tensor, /) -> Tensor:
+        """(P,) values at points (P, 3)."""
+        return torch.as_tensor(self._at(points))
+
+    def mirrored(self, centres: Tensor, offsets: Tensor) -> Tensor:
+        """(2, G, N) values at centres (G, 3) plus and minus offsets (G, N, 3)."""
+        return torch.as_tensor(self._mirrored(centres, offsets))

@@ -16,11 +16,23 @@ from dualms.field import topology
 from dualms.field.field import Field
 from dualms.field.interface import MARGIN, profile
 from dualms.field.lattice import Lattice
-from dualms.field.losses import Function, skeleton_loss, smoothness_exact, smoothness_secants
+from dualms.field.losses import (
+    SECANT_POINTS,
+    Clusters,
+    Function,
+    Trainable,
+    skeleton_loss,
+    smoothness_exact,
+    smoothness_secants,
+)
 from dualms.grid import Grid
 from dualms.skeletons import Skeletons
 from dualms.spec import NetworkField
 
+_CENTRES = 4
+"""Of mirror images in one batch: each costs as much as 30 points."""
+_CANDIDATES = 8
+"""For each point wanted: of two halves of a domain that are not mirror images, few points are."""
 _REPAIR_POINTS = 256
 _CLEAR = 0.2
 """Least value, with its sign, that a former pocket is taught: enough for the right colour, no pull beyond."""
@@ -32,7 +44,7 @@ _NEAR_SHARE = 0.75
 class Objective(Protocol):
     """A loss to lower by stochastic gradients."""
 
-    def __call__(self, model: Function, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, model: Trainable, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """The whole loss and its two parts, on a fresh batch."""
 
 
@@ -48,19 +60,26 @@ class Samples:
         (K, 3) lower corners of the voxels inside the domain.
     spacing
         Edge of these voxels.
+    voxels
+        (K, 3) their indices in ``inside``.
+    inside
+        (nx, ny, nz) which voxels are the domain's; none of the outermost.
     """
 
     hot: Tensor
     cold: Tensor
     corners: Tensor
     spacing: float
+    voxels: Tensor
+    inside: Tensor
 
     @classmethod
     def of(cls, lattice: Lattice, skeletons: Skeletons, device: torch.device) -> Samples:
         """Move skeletons and the voxelised domain to a device."""
         corners = lattice.grid.points(lattice.inside) - lattice.grid.spacing / 2
         hot, cold, corners_there = (_there(p, device) for p in (skeletons.hot, skeletons.cold, corners))
-        return cls(hot, cold, corners_there, lattice.grid.spacing)
+        inside = torch.tensor(np.pad(lattice.inside, 1), device=device)
+        return cls(hot, cold, corners_there, lattice.grid.spacing, inside.nonzero(), inside)
 
     def skeleton(self, points: Tensor, count: int, noise_std: float, generator: torch.Generator) -> Tensor:
         """(count, 3) samples of a skeleton with the paper's Gaussian noise (Eq. 7)."""
@@ -73,6 +92,29 @@ class Samples:
         chosen = torch.randint(len(self.corners), (count,), generator=generator, device=device)
         return self.corners[chosen] + self.spacing * torch.rand((count, 3), generator=generator, device=device)
 
+    def clusters(self, count: int, generator: torch.Generator) -> Clusters:
+        """Middles of lines that together hold ``count`` points: a few centres, and points with their mirror images.
+
+        Of more candidates than are wanted those come first whose mirror images lie inside, without a look at how many.
+        Each centre is the middle of the first candidate and its image, so there is always one.
+        """
+        each = max(1, count // (2 * SECANT_POINTS * _CENTRES))
+        device = self.corners.device
+        total = len(self.corners)
+        ends = torch.randint(total, (_CENTRES, 2), generator=generator, device=device)
+        others = torch.randint(total, (_CENTRES, _CANDIDATES * each), generator=generator, device=device)
+        chosen = torch.cat([ends[:, :1], others], dim=1)
+        mirrored = self.voxels[ends].sum(dim=1, keepdim=True) - self.voxels[chosen]
+        # Beyond the grid one of its outermost voxels answers: outside.
+        valid = self.inside[tuple(mirrored[..., k].clamp(0, n - 1) for k, n in enumerate(self.inside.shape))]
+        first = torch.argsort(~valid, dim=1, stable=True)[:, :each]
+        jitter = torch.rand((_CENTRES, each, 3), generator=generator, device=device)
+        return Clusters(
+            centres=self.corners[ends].mean(dim=1) + self.spacing / 2,
+            points=self.corners[chosen.gather(1, first)] + self.spacing * jitter,
+            valid=valid.gather(1, first).float(),
+        )
+
 
 class PaperLoss:
     """λ1 · skeleton loss + λ2 · smoothness loss (Eq. 6), and the sign of former pockets where there were any."""
@@ -82,7 +124,7 @@ class PaperLoss:
         self.samples = samples
         self.repairs = torch.zeros((0, 4), device=samples.hot.device)
 
-    def __call__(self, model: Function, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, model: Trainable, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """The whole loss, its skeleton part and its smoothness part."""
         spec, samples = self.spec, self.samples
         half = max(1, spec.points // 2)
@@ -96,11 +138,10 @@ class PaperLoss:
             loss = loss + spec.skeleton_weight * torch.relu(_CLEAR - taught[:, 3] * values[2 * half :]).mean()
         smoothness = torch.zeros_like(fidelity)
         if spec.smoothness_weight > 0:
-            inside = samples.volume(spec.points, generator)
             if spec.gradient == "exact":
-                smoothness = smoothness_exact(model, inside)
+                smoothness = smoothness_exact(model, samples.volume(spec.points, generator))
             else:
-                smoothness = smoothness_secants(model, inside, generator)
+                smoothness = smoothness_secants(model, samples.clusters(spec.points, generator), generator)
             loss = loss + spec.smoothness_weight * smoothness
         return loss, fidelity, smoothness
 
@@ -155,7 +196,7 @@ class Imitation:
         self._all = _there(np.column_stack([grid.points(wanted), target[wanted]]), device)
         self._count = round(_NEAR_SHARE * points), points - round(_NEAR_SHARE * points)
 
-    def __call__(self, model: Function, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, model: Trainable, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """The loss, twice, and zero for the smoothness that has no part in it."""
         batch = torch.cat(
             [

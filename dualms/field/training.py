@@ -58,14 +58,33 @@ class Model:
             bias = (2 * torch.rand(fan_out, generator=generator, device=device) - 1) * bound
             self.layers.append((weight.requires_grad_(), bias.requires_grad_()))
 
-    def __call__(self, points: Tensor) -> Tensor:
+    def __call__(self, points: Tensor, /) -> Tensor:
         """(P,) values at points (P, 3)."""
-        phase = 2 * math.pi * (points @ self.frequencies)
-        x = torch.cat([phase.sin(), phase.cos()], dim=1)
-        for weight, bias in self.layers[:-1]:
-            x = torch.nn.functional.softplus(torch.addmm(bias, x, weight))
-        weight, bias = self.layers[-1]
-        return torch.addmm(bias, x, weight)[:, 0]
+        phase = points @ (2 * math.pi * self.frequencies)
+        weight, bias = self.layers[0]
+        of_sines, of_cosines = weight.chunk(2)
+        return self._beyond(torch.addmm(torch.addmm(bias, phase.sin(), of_sines), phase.cos(), of_cosines))
+
+    def mirrored(self, centres: Tensor, offsets: Tensor) -> Tensor:
+        """(2, G, N) values at centres (G, 3) plus and minus offsets (G, N, 3).
+
+        A Fourier feature splits into a part that is even in the offset and one that is odd, sin(c ± u) = sin c cos u ±
+        cos c sin u. So the first layer, most of the work, costs for both points what it costs for one.
+        """
+        centre, offset = (x @ (2 * math.pi * self.frequencies) for x in (centres, offsets))
+        sin, cos = centre.sin()[:, :, None], centre.cos()[:, :, None]
+        weight, bias = self.layers[0]
+        of_sines, of_cosines = weight.chunk(2)
+        even = torch.baddbmm(bias, offset.cos(), sin * of_sines + cos * of_cosines)
+        odd = torch.bmm(offset.sin(), cos * of_sines - sin * of_cosines)
+        both = torch.stack([even + odd, even - odd])
+        return self._beyond(both.flatten(0, 2)).reshape(both.shape[:3])
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        """(P,) values from the first layer's sums (P, W)."""
+        for weight, bias in self.layers[1:]:
+            x = torch.addmm(bias, torch.nn.functional.softplus(x), weight)
+        return x[:, 0]
 
     @property
     def parameters(self) -> list[Tensor]:
