@@ -11,13 +11,19 @@ import uvicorn
 from worker.logs import log_to_stderr
 
 GRACE_S = 3  # open streams and long polls get so long to end
+KEEP_ALIVE_S = 75  # longer than proxies and clients keep a connection: who closes first may cut a request off
 
 
 def run(listener: socket.socket) -> None:
     """Serve until SIGTERM or SIGINT."""
     log_to_stderr()
     config = uvicorn.Config(
-        "service.app:app", access_log=False, log_config=None, timeout_graceful_shutdown=GRACE_S, lifespan="on"
+        "service.app:app",
+        access_log=False,
+        log_config=None,
+        timeout_graceful_shutdown=GRACE_S,
+        timeout_keep_alive=KEEP_ALIVE_S,
+        lifespan="on",
     )
     gc.disable()  # what is imported stays: looking through it again and again costs a fifth of the start
     config.load()
