@@ -66,13 +66,18 @@ def solved(case: Case, spec: PhaseField | NeuralField | DistilledField) -> tuple
 
 def figures(case: Case, field: Field) -> Row:
     """Area, curvature and topology of a field's surface."""
-    grid = case.domain.grid(MEASURED_AT)
-    inside, hot = case.domain.inside(grid), field.on(grid) > 0
-    return {
-        **mesh_figures(case, *level_set(field, grid)),
-        "pieces": topology.component_counts(hot, inside),
-        **kept_topology(case, field),
+    lattice = Lattice.of(case.domain, case.skeletons, MEASURED_AT)
+    values = field.on(lattice.grid)  # once: a network takes minutes
+    found: Row = {
+        **mesh_figures(case, *level_set_of(values, lattice.grid)),
+        "pieces": topology.component_counts(values > 0, lattice.inside),
+        "euler_start_solved": None,
+        "euler_solved": None,
     }
+    if "resolution" in field.history.columns:
+        solved_on = Lattice.of(case.domain, case.skeletons, int(field.history.column("resolution")[-1]))
+        found |= euler(case, solved_on, field.on(solved_on.grid), "_solved")
+    return found | euler(case, lattice, values)
 
 
 def mesh_figures(case: Case, vertices: np.ndarray, faces: np.ndarray) -> Row:
@@ -94,18 +99,13 @@ def mesh_figures(case: Case, vertices: np.ndarray, faces: np.ndarray) -> Row:
     }
 
 
-def kept_topology(case: Case, field: Field) -> Row:
-    """Euler characteristics of both fluids' voxels at the start and at the end, where solved and where measured."""
-    levels = {"": MEASURED_AT}
-    if "resolution" in field.history.columns:
-        levels["_solved"] = int(field.history.column("resolution")[-1])
-    found: Row = {"euler_start_solved": None, "euler_solved": None}
-    for suffix, level in levels.items():
-        lattice = Lattice.of(case.domain, case.skeletons, level)
-        start = lattice.colouring(lattice.nearer_to_hot(case.skeletons) - np.float32(0.5))
-        for name, hot in (("euler_start", start), ("euler", field.on(lattice.grid) > 0)):
-            found[name + suffix] = tuple(topology.euler_characteristic(part & lattice.inside) for part in (hot, ~hot))
-    return found
+def euler(case: Case, lattice: Lattice, values: np.ndarray, suffix: str = "") -> Row:
+    """Euler characteristics of both fluids' voxels, of the equidistant surface and of a field's values."""
+    start = lattice.colouring(lattice.nearer_to_hot(case.skeletons) - np.float32(0.5))
+    return {
+        name + suffix: tuple(topology.euler_characteristic(part & lattice.inside) for part in (hot, ~hot))
+        for name, hot in (("euler_start", start), ("euler", values > 0))
+    }
 
 
 def minimal_at(case: Case, level: int) -> Field:
@@ -127,5 +127,10 @@ def minimal_at(case: Case, level: int) -> Field:
 
 def level_set(field: Field, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces of the zero set on a grid, unit-cube frame; it may end at the grid's outermost voxels."""
-    vertices, faces, _, _ = marching_cubes(field.on(grid), 0.0)
+    return level_set_of(field.on(grid), grid)
+
+
+def level_set_of(values: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """The same from the values (nx, ny, nz) on the grid."""
+    vertices, faces, _, _ = marching_cubes(values, 0.0)
     return np.asarray(vertices * grid.spacing + grid.origin, dtype=float), faces.astype(np.int64)

@@ -44,8 +44,8 @@ _NEAR_SHARE = 0.75
 class Objective(Protocol):
     """A loss to lower by stochastic gradients."""
 
-    def __call__(self, model: Trainable, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """The whole loss and its two parts, on a fresh batch."""
+    def __call__(self, model: Trainable, points: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """The whole loss and its two parts, on a fresh batch of so many points."""
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,10 @@ class PaperLoss:
         self.samples = samples
         self.repairs = torch.zeros((0, 4), device=samples.hot.device)
 
-    def __call__(self, model: Trainable, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, model: Trainable, points: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """The whole loss, its skeleton part and its smoothness part."""
         spec, samples = self.spec, self.samples
-        half = max(1, spec.points // 2)
+        half = max(1, points // 2)
         hot = samples.skeleton(samples.hot, half, spec.noise_std, generator)
         cold = samples.skeleton(samples.cold, half, spec.noise_std, generator)
         taught = self._draw_repairs(generator)
@@ -139,9 +139,9 @@ class PaperLoss:
         smoothness = torch.zeros_like(fidelity)
         if spec.smoothness_weight > 0:
             if spec.gradient == "exact":
-                smoothness = smoothness_exact(model, samples.volume(spec.points, generator))
+                smoothness = smoothness_exact(model, samples.volume(points, generator))
             else:
-                smoothness = smoothness_secants(model, samples.clusters(spec.points, generator), generator)
+                smoothness = smoothness_secants(model, samples.clusters(points, generator), generator)
             loss = loss + spec.smoothness_weight * smoothness
         return loss, fidelity, smoothness
 
@@ -177,13 +177,11 @@ class Imitation:
         Where it is sampled: the voxels inside and the margin round them.
     gap
         Typical distance between the skeletons, unit-cube units.
-    points
-        Per step.
     device
         Of the batches.
     """
 
-    def __init__(self, field: Field, lattice: Lattice, gap: float, points: int, device: torch.device) -> None:
+    def __init__(self, field: Field, lattice: Lattice, gap: float, device: torch.device) -> None:
         spacing = lattice.grid.spacing
         width = math.ceil(MARGIN / spacing)
         inside = np.pad(lattice.inside, width)
@@ -194,14 +192,14 @@ class Imitation:
         near = wanted & (np.abs(target) < 0.9)
         self._near = _there(np.column_stack([grid.points(near), target[near]]), device)
         self._all = _there(np.column_stack([grid.points(wanted), target[wanted]]), device)
-        self._count = round(_NEAR_SHARE * points), points - round(_NEAR_SHARE * points)
 
-    def __call__(self, model: Trainable, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def __call__(self, model: Trainable, points: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """The loss, twice, and zero for the smoothness that has no part in it."""
+        near = round(_NEAR_SHARE * points)
         batch = torch.cat(
             [
                 table[torch.randint(len(table), (count,), generator=generator, device=table.device)]
-                for table, count in zip((self._near, self._all), self._count, strict=True)
+                for table, count in ((self._near, near), (self._all, points - near))
             ]
         )
         loss = (model(batch[:, :3]) - batch[:, 3]).square().mean()

@@ -10,7 +10,7 @@ from dualms.errors import FieldDiverged
 from dualms.field import topology, training
 from dualms.field.field import Field
 from dualms.field.lattice import Lattice
-from dualms.field.losses import Clusters, skeleton_loss, smoothness_exact, smoothness_secants
+from dualms.field.losses import Clusters, Trainable, skeleton_loss, smoothness_exact, smoothness_secants
 from dualms.field.objectives import Samples, stray_voxels
 from dualms.field.phase_field import solve_phase_field
 from dualms.field.solve import solve_field
@@ -169,6 +169,23 @@ def test_the_numpy_network_is_the_trained_one() -> None:
     with torch.no_grad():
         expected = model(torch.tensor(points, dtype=torch.float32)).numpy()
     np.testing.assert_allclose(model.network().at(points), expected, atol=2e-6)
+
+
+def test_a_large_batch_is_the_mean_of_its_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "_PIECE", 100)
+    asked = []
+
+    def slope_of_the_piece(model: Trainable, points: int, generator: torch.Generator) -> tuple[torch.Tensor, ...]:
+        asked.append(points)
+        loss = len(asked) * run.model.parameters[0].sum()
+        return loss, loss, torch.zeros(())
+
+    run = training.Training(SMALL, [(1, slope_of_the_piece)], 0, torch.device("cpu"))
+    before = run.model.parameters[0].sum().item()
+    run.advance()
+    assert asked == [85, 85, 85]  # of 256
+    torch.testing.assert_close(run.model.parameters[0].grad, torch.full_like(run.model.parameters[0], 2.0))
+    assert run.history().column("loss")[0] == pytest.approx(2 * before, rel=1e-5)
 
 
 def test_resuming_gives_the_same_bytes(
