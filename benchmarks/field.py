@@ -57,7 +57,7 @@ def main() -> int:
     parser.add_argument("--graph", choices=["aligned", "paper"], help="graph preset instead of the specification's")
     parser.add_argument("--methods", nargs="+", choices=["phase-field", "distilled", "neural"])
     parser.add_argument("--surfaces", nargs="+", choices=list(NETS), default=list(NETS))
-    parser.add_argument("--points", type=int, default=4096)
+    parser.add_argument("--points", type=int, default=32_768)
     parser.add_argument("--name", help="of the result, instead of the mode's")
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
