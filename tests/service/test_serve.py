@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,6 +136,18 @@ def test_an_event_stream_goes_on_after_the_api_was_killed(
 def test_the_api_answers_within_two_seconds_of_the_start(served: Served) -> None:
     # Generous: the claim is 2 s on an idle machine, and tests share theirs. python -m benchmarks.load measures it.
     assert served.ready_after_s < 10
+
+
+@pytest.mark.slow
+def test_a_connection_may_rest_longer_than_a_client_s_pause(served: Served) -> None:
+    with closing(HTTPConnection(served.url.removeprefix("http://"))) as connection:
+        connection.request("GET", "/healthz")
+        connection.getresponse().read()
+        ours = connection.sock
+        time.sleep(6)  # uvicorn's own patience is 5 s
+        connection.request("GET", "/healthz")
+        assert connection.getresponse().read()
+        assert connection.sock is ours, "not opened again"
 
 
 def test_a_second_serve_on_the_same_data_is_refused(served: Served) -> None:
