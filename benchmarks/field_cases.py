@@ -64,9 +64,9 @@ def solved(case: Case, spec: PhaseField | NeuralField | DistilledField) -> tuple
     return field, {"seconds": time.perf_counter() - began, "cpu_seconds": time.process_time() - busy}
 
 
-def figures(case: Case, field: Field) -> Row:
-    """Area, curvature and topology of a field's surface."""
-    lattice = Lattice.of(case.domain, case.skeletons, MEASURED_AT)
+def figures(case: Case, field: Field, level: int = MEASURED_AT) -> Row:
+    """Area, curvature and topology of a field's surface, sampled on a grid."""
+    lattice = Lattice.of(case.domain, case.skeletons, level)
     values = field.on(lattice.grid)  # once: a network takes minutes
     found: Row = {
         **mesh_figures(case, *level_set_of(values, lattice.grid)),
