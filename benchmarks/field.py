@@ -12,8 +12,8 @@
     python benchmarks/field.py growth DOMAIN SPEC            time and memory at grids 64 to 384
 
 Each prints a table and writes ``benchmarks/results/field/MODE.json``, some with a picture coloured by mean curvature.
-Curvature is that of :mod:`dualms.measure.curvature` on a surface sampled at 256 (ablations at 128), a strip of 4/128 along the wall left
-out; area density is in 1 / longest side.
+Curvature is that of :mod:`dualms.measure.curvature` on a surface sampled at 256 (ablations at 128), a strip of 4/128
+along the wall left out; area density is in 1 / longest side.
 """
 
 from __future__ import annotations
