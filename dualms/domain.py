@@ -22,7 +22,8 @@ from dualms.mesh import DomainMesh
 from dualms.ports import Port
 from dualms.triangles import TriangleMesh
 
-LONGEST_EDGE = 1 / 64  # of the triangles that distances are taken from, unit-cube units
+LONGEST_EDGE = 1 / 64  # of the triangles that winding numbers are taken from, unit-cube units
+FEW = 50  # triangles
 Mask = NDArray[np.bool_]
 
 
@@ -71,12 +72,11 @@ class Domain:
 
     @cached_property
     def _fine(self) -> TriangleMesh:
-        """The boundary in triangles of at most 1/64.
-
-        Distances from long thin triangles, and their winding numbers, cost up to ten times as much.
-        """
-        refined = Solid.of(TriangleMesh(self.vertices, self.faces)).manifold.refine_to_length(LONGEST_EDGE)
-        return Solid(refined, -1).mesh()
+        """The boundary in triangles of at most 1/64: winding numbers near long thin ones cost up to ten times as much."""
+        mesh = TriangleMesh(self.vertices, self.faces)
+        if len(mesh.faces) <= FEW:
+            return mesh  # each is asked for itself
+        return Solid(Solid.of(mesh).manifold.refine_to_length(LONGEST_EDGE), -1).mesh()
 
     def grid(self, resolution: int, padding: int = 3) -> Grid:
         """A grid of spacing 1/resolution that covers the domain."""
@@ -105,7 +105,7 @@ class Domain:
         """
         near = self._near_boundary(grid, band)
         distance = np.full(grid.shape, band)
-        squared, _, _ = igl.point_mesh_squared_distance(grid.points(near), self._fine.vertices, self._fine.faces)
+        squared, _, _ = igl.point_mesh_squared_distance(grid.points(near), self.vertices, self.faces)
         distance[near] = np.minimum(np.sqrt(squared), band)
         far = distance > 0.51 * grid.spacing
         inside = np.zeros(grid.shape, dtype=bool)
