@@ -72,7 +72,7 @@ class Domain:
 
     @cached_property
     def _fine(self) -> TriangleMesh:
-        """The boundary in triangles of at most 1/64: winding numbers near long thin ones cost up to ten times as much."""
+        """The boundary in triangles of at most 1/64: winding numbers near long thin ones cost up to ten times more."""
         mesh = TriangleMesh(self.vertices, self.faces)
         if len(mesh.faces) <= FEW:
             return mesh  # each is asked for itself
