@@ -23,7 +23,7 @@ from dualms.ports import Port
 from dualms.triangles import TriangleMesh
 
 LONGEST_EDGE = 1 / 64  # of the triangles that winding numbers are taken from, unit-cube units
-FEW = 50  # triangles
+FEW = 50  # triangles: so many are summed sooner one by one
 Mask = NDArray[np.bool_]
 
 
@@ -75,7 +75,7 @@ class Domain:
         """The boundary in triangles of at most 1/64: winding numbers near long thin ones cost up to ten times more."""
         mesh = TriangleMesh(self.vertices, self.faces)
         if len(mesh.faces) <= FEW:
-            return mesh  # each is asked for itself
+            return mesh
         return Solid(Solid.of(mesh).manifold.refine_to_length(LONGEST_EDGE), -1).mesh()
 
     def grid(self, resolution: int, padding: int = 3) -> Grid:

@@ -29,8 +29,9 @@ from dualms.grid import Grid
 from dualms.skeletons import Skeletons
 from dualms.spec import NetworkField
 
-_CENTRES = 4
-"""Of mirror images in one batch: each costs as much as 30 points."""
+_LEAST_CENTRES = 4
+_POINTS_A_CENTRE = 512
+"""Of mirror images: the more centres, the more even a batch, but each costs as much as 30 points."""
 _CANDIDATES = 8
 """For each point wanted: of two halves of a domain that are not mirror images, few points are."""
 _REPAIR_POINTS = 256
@@ -98,17 +99,18 @@ class Samples:
         Of more candidates than are wanted those come first whose mirror images lie inside, without a look at how many.
         Each centre is the middle of the first candidate and its image, so there is always one.
         """
-        each = max(1, count // (2 * SECANT_POINTS * _CENTRES))
+        centres = max(_LEAST_CENTRES, count // _POINTS_A_CENTRE)
+        each = max(1, count // (2 * SECANT_POINTS * centres))
         device = self.corners.device
         total = len(self.corners)
-        ends = torch.randint(total, (_CENTRES, 2), generator=generator, device=device)
-        others = torch.randint(total, (_CENTRES, _CANDIDATES * each), generator=generator, device=device)
+        ends = torch.randint(total, (centres, 2), generator=generator, device=device)
+        others = torch.randint(total, (centres, _CANDIDATES * each), generator=generator, device=device)
         chosen = torch.cat([ends[:, :1], others], dim=1)
         mirrored = self.voxels[ends].sum(dim=1, keepdim=True) - self.voxels[chosen]
         # Beyond the grid one of its outermost voxels answers: outside.
         valid = self.inside[tuple(mirrored[..., k].clamp(0, n - 1) for k, n in enumerate(self.inside.shape))]
         first = torch.argsort(~valid, dim=1, stable=True)[:, :each]
-        jitter = torch.rand((_CENTRES, each, 3), generator=generator, device=device)
+        jitter = torch.rand((centres, each, 3), generator=generator, device=device)
         return Clusters(
             centres=self.corners[ends].mean(dim=1) + self.spacing / 2,
             points=self.corners[chosen.gather(1, first)] + self.spacing * jitter,

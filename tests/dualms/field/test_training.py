@@ -148,6 +148,8 @@ def test_clusters_and_their_mirror_images_are_uniform_in_the_domain() -> None:
             shares.append([(weights * arm).sum(dim=1).mean().item() for arm in (x & y, ~x & y, x & ~y)])
     # 2,000 centres: the standard error of a share is below 1 %.
     np.testing.assert_allclose(np.mean(shares, axis=0), 1 / 3, atol=0.03)
+    paper = samples.clusters(32_768, generator)
+    assert paper.points.shape == (64, 64, 3), "a large batch has more centres, and all its lines together 32,768 points"
 
 
 def test_training_separates_two_lines_near_the_middle(unit_box: Domain, parallel_lines: SimpleNamespace) -> None:
