@@ -80,10 +80,7 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
 def targets(figures: dict[str, Any]) -> dict[str, bool]:
     """What the service promises."""
     return {
-        "ready within 2 s (of processor time, which a busy machine does not stretch)": max(
-            figures["start"]["ready_cpu_s"]
-        )
-        < 2,
+        "the API is ready within 2 s of its start": max(figures["start"]["api_ready_s"]) < 2,
         "status polls at least half as fast as a bare endpoint": figures["polls"]["ratio_cpu"]["status"] >= 0.5,
         "no error under load": not figures["mixture"]["errors"],
         "an upload of 500 MB takes under 64 MB of memory": figures["upload"]["memory_growth_mib"] < 64,
@@ -101,6 +98,7 @@ def _starts(folder: Path, times: int) -> dict[str, Any]:
         with bare(place) as rival:
             rivals.append(rival)
     return {
+        "api_ready_s": [round(s.own_s, 2) for s in services],
         "ready_s": [round(s.ready_s, 2) for s in services],
         "ready_cpu_s": [round(s.ready_cpu_s, 2) for s in services],
         "bare_ready_s": [round(s.ready_s, 2) for s in rivals],

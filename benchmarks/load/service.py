@@ -52,12 +52,15 @@ class Server:
         Its address, and the id of the process that answers.
     ready_s, ready_cpu_s
         From the command to the first good answer: wall time, and processor time of all that had to start for it.
+    own_s
+        From the start of the process that answers to that answer.
     """
 
     url: str
     process: int
     ready_s: float
     ready_cpu_s: float
+    own_s: float
 
 
 def box(scale: float) -> bytes:
@@ -86,8 +89,10 @@ def served(folder: Path) -> Iterator[Server]:
             url = found[1] if found else ""
             time.sleep(0.005)
         seconds = time.monotonic() - began
-        api = next(p for p in psutil.Process(process.pid).children() if "service.listen" in " ".join(p.cmdline()))
-        yield Server(url, api.pid, seconds, cpu_s(process.pid) + cpu_s(api.pid))
+        parent = psutil.Process(process.pid)
+        api = next(p for p in parent.children() if "service.listen" in " ".join(p.cmdline()))
+        later = api.create_time() - parent.create_time()
+        yield Server(url, api.pid, seconds, cpu_s(process.pid) + cpu_s(api.pid), seconds - later)
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(60)
@@ -123,7 +128,8 @@ def bare(folder: Path) -> Iterator[Server]:
             if process.poll() is not None or time.monotonic() > began + PATIENCE_S:
                 raise RuntimeError("the bare endpoint did not start")
             time.sleep(0.005)
-        yield Server(f"http://127.0.0.1:{port}", process.pid, time.monotonic() - began, cpu_s(process.pid))
+        seconds = time.monotonic() - began
+        yield Server(f"http://127.0.0.1:{port}", process.pid, seconds, cpu_s(process.pid), seconds)
     finally:
         process.terminate()
         process.wait(20)

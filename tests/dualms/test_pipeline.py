@@ -186,6 +186,7 @@ def test_the_page_is_self_contained(designed: tuple[Path, Recorder]) -> None:
     assert "https://" not in page
 
 
+@pytest.mark.slow
 def test_the_same_request_gives_the_same_bytes(designed: tuple[Path, Recorder], tmp_path: Path) -> None:
     first = designed[0]
     spec = json.loads((first / "report.json").read_text())["provenance"]["spec"]
@@ -233,6 +234,7 @@ def test_a_changed_header_changes_the_keys_of_build_alone() -> None:
     assert len({one["build"], two["build"], bare["build"]}) == 3
 
 
+@pytest.mark.slow
 def test_headers_an_outer_shell_and_a_graded_wall_are_built(tmp_path: Path) -> None:
     spec = small_spec(
         with_headers(end_ports(), {"radius": 6, "length": 20, "flange": {"radius": 10, "thickness": 3}}),

@@ -69,6 +69,7 @@ def test_submit_without_wait_prints_the_record(served: Served, box: Path, spec_f
     assert json.loads(done.stdout)["name"] == "quick"
 
 
+@pytest.mark.slow
 def test_design_without_a_server_gives_the_service_s_meshes(
     submitted: tuple[Path, Any], box: Path, tmp_path: Path
 ) -> None:

@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 from dualms.study.grid import grid_points
 from service.studies.command import read_plan
 
@@ -32,6 +34,7 @@ def study_file(folder: Path, box: Path, spec: dict[str, Any], grid: dict[str, li
     return path
 
 
+@pytest.mark.slow
 def test_a_study_here_goes_on_where_it_ended(tmp_path: Path, box: Path, spec: dict[str, Any]) -> None:
     out = tmp_path / "out"
     first = run(study_file(tmp_path, box, spec, {"wall.thickness": [1.0, 12.0]}), "--out", out)

@@ -83,6 +83,7 @@ def test_s3_hands_out_the_bytes_itself(s3: S3, tmp_path: Path, monkeypatch: pyte
     assert httpx.get(url.partition("?")[0]).status_code == 403
 
 
+@pytest.mark.slow
 def test_an_s3_server_that_is_away_is_said_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     server = S3()
     try:

@@ -45,6 +45,7 @@ def test_the_grading_does_not_depend_on_where_the_part_lies() -> None:
     assert 80 * GradedWall.of(spec, Unit.MM, domain).at(np.array([[0.5, 0, 0]]))[0] == pytest.approx(1.4)
 
 
+@pytest.mark.slow
 def test_the_body_has_the_graded_thickness_by_true_distance() -> None:
     domain = domain_of(box_mesh(), shared_ends())
     wall = GradedWall.of(ALONG, Unit.MM, domain)
