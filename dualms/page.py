@@ -32,10 +32,11 @@ def report_page(report: Report, folder: Path) -> str:
 def readable(check: Check) -> tuple[str, str, str]:
     """Name, value and limit of a line of the certificate, in the units that people read."""
     ending = next((end for end in READABLE if check.name.endswith(end)), None)
+    exact = check.value + 0.0  # -0 is 0
     if ending is None:
-        value = f"{check.value:,.0f}" if check.value.is_integer() else f"{check.value:.4g}"
+        value = f"{exact:,.0f}" if exact.is_integer() else f"{exact:.4g}"
         return check.name, value, check.limit
     factor, unit = READABLE[ending]
     symbol, _, number = check.limit.partition(" ")
     limit = f"{symbol} {factor * float(number):.4g}" if number else symbol
-    return check.name.removesuffix(ending) + unit, f"{factor * check.value:.4g}", limit
+    return check.name.removesuffix(ending) + unit, f"{factor * exact:.4g}", limit

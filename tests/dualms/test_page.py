@@ -13,6 +13,10 @@ from dualms.page import readable
     [
         (("least wall, m", 7.906e-4, "> 0"), ("least wall, mm", "0.7906", "> 0")),
         (("hot: dead-end volume, m³", 1.611e-8, "≤ 4.415e-05"), ("hot: dead-end volume, cm³", "0.01611", "≤ 44.15")),
+        (
+            ("powder trapped in closed cavities, m³", -0.0, "= 0"),
+            ("powder trapped in closed cavities, cm³", "0", "= 0"),
+        ),
         (("overhang below 45°, m²", 0.04125, "stated"), ("overhang below 45°, cm²", "412.5", "stated")),
         (
             ("triangles of the largest mesh", 1011306.0, "≤ 3,000,000"),
