@@ -29,7 +29,7 @@ class Solid:
         Raises
         ------
         InvalidBody
-            If the mesh is not closed and manifold.
+            If the mesh is not closed and manifold, or inside out.
         """
         return cls.of_parts(mesh, np.zeros(len(mesh.faces), dtype=np.int64))
 
@@ -40,7 +40,7 @@ class Solid:
         Raises
         ------
         InvalidBody
-            If the mesh is not closed and manifold.
+            If the mesh is not closed and manifold, or inside out.
         """
         order = np.argsort(part, kind="stable")
         parts, first = np.unique(part[order], return_index=True)
@@ -57,6 +57,11 @@ class Solid:
             raise InvalidBody(
                 f"A mesh of {len(mesh.faces):,} triangles is no closed body: {manifold.status().name}.",
                 advice="If this is your domain, repair it in CAD; otherwise change surface.resolution a little.",
+            )
+        if manifold.volume() < 0:
+            raise InvalidBody(
+                f"A mesh of {len(mesh.faces):,} triangles is inside out.",
+                advice="Turn its triangles the other way round, so that their normals point outward.",
             )
         return cls(manifold, origin)
 

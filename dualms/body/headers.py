@@ -130,16 +130,13 @@ def _on_port(
     domain: Domain, index: int, asked: HeaderSpec, k: float, wall: float, flange: tuple[float, float]
 ) -> Header:
     port = domain.ports[index]
-    if port.shape == "box":
-        normal = np.zeros(3)
-        axis = int(np.abs(port.normal).argmax())
-        normal[axis] = np.sign(port.normal[axis])
-        across = np.delete(np.eye(3), axis, axis=0)
-    else:
-        normal = port.normal
-        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-        first /= np.linalg.norm(first)
-        across = np.stack([first, np.cross(normal, first)])
+    normal = port.normal
+    if port.shape == "box":  # its sides are the frame's
+        axis = int(np.abs(normal).argmax())
+        normal = np.sign(normal[axis]) * np.eye(3)[axis]
+    first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    first /= np.linalg.norm(first)
+    across = np.stack([first, np.cross(normal, first)])
     flat = port.samples @ across.T
     if port.shape == "disk":
         middle = across @ port.extent[0]

@@ -94,14 +94,34 @@ def test_the_wall_of_a_taper_is_as_thick_as_asked() -> None:
     assert np.sqrt(squared).min() > 0.98 * 0.0015
 
 
-def test_a_box_port_tapers_to_a_round_pipe() -> None:
+@pytest.mark.parametrize(
+    "box",
+    [
+        [(0, 6, 12), (0, 24, 28)],
+        [(80, 6, 12), (80, 24, 28)],
+        [(20, 0, 12), (38, 0, 28)],
+        [(20, 6, 0), (38, 22, 0)],
+        [(20, 6, 40), (38, 22, 40)],
+    ],
+    ids=["-x", "+x", "-y", "-z", "+z"],
+)
+def test_a_box_port_tapers_to_a_round_pipe(box: list[tuple[int, int, int]]) -> None:
+    radius, length, wall = 6.0, 25.0, 1.5
     document = end_ports().model_dump()
-    document["hot"]["inlets"] = [{"box": [(0, 6, 12), (0, 24, 28)], "header": {"radius": 6, "length": 25, "wall": 1.5}}]
+    header = {"radius": radius, "length": length, "wall": wall}
+    document["hot"]["inlets"] = [{"box": box, "header": header}]
+    document["hot"]["outlets"] = [{"center": (60, 0, 20), "radius": 8}]
     _, body = built(FluidsSpec.model_validate(document))
     inlet = body.hot.mesh.part(body.hot.patch == 2)
-    assert inlet.area == pytest.approx(np.pi * 0.006**2, rel=1e-3)
+    assert inlet.area == pytest.approx(np.pi * (1e-3 * radius) ** 2, rel=1e-3)
+    # Between a round pipe and a prism over the port.
+    round_area, box_area = np.pi * (radius + wall) ** 2, (18 + 2 * wall) * (16 + 2 * wall)
+    added = 1e9 * (body.outline_m3 - 0.080 * 0.060 * 0.040)
+    assert round_area * length < added < box_area * length
+    assert body.hot.components == 1
     assert body.leak_m3 == 0
     assert body.solid.is_closed
+    assert (body.crossing, body.hot.crossing, body.cold.crossing) == (0, 0, 0)
 
 
 def test_solid_faces_of_the_bores_belong_to_their_fluid() -> None:
