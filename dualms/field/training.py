@@ -19,6 +19,7 @@ from dualms.field.lattice import Lattice, typical_gap
 from dualms.field.network import Network
 from dualms.field.objectives import Imitation, Objective, PaperLoss, Samples
 from dualms.field.phase_field import solve_phase_field
+from dualms.field.torus import Torus
 from dualms.progress import Progress
 from dualms.skeletons import Skeletons
 from dualms.spec import DistilledField, NetworkField, NeuralField
@@ -46,12 +47,16 @@ class Model:
         Width, depth and Fourier features.
     generator
         Of the frequencies and the start, on the same device.
+    periodic
+        Whether opposite faces of the unit cube are joined: frequencies are whole numbers then.
     """
 
-    def __init__(self, spec: NetworkField, generator: torch.Generator) -> None:
+    def __init__(self, spec: NetworkField, generator: torch.Generator, periodic: bool = False) -> None:
         half = spec.features // 2
         device = generator.device
         self.frequencies = spec.fourier_scale * torch.randn((3, half), generator=generator, device=device)
+        if periodic:
+            self.frequencies = self.frequencies.round()
         sizes = [2 * half, *[spec.width] * spec.hidden_layers, 1]
         self.layers: list[tuple[Tensor, Tensor]] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
@@ -112,15 +117,22 @@ class Training:
         Of the start and of all batches.
     device
         Where it runs.
+    periodic
+        Whether the domain is the torus.
     """
 
     def __init__(
-        self, spec: NetworkField, lessons: list[tuple[int, Objective]], seed: int, device: torch.device
+        self,
+        spec: NetworkField,
+        lessons: list[tuple[int, Objective]],
+        seed: int,
+        device: torch.device,
+        periodic: bool = False,
     ) -> None:
         self.spec = spec
         self.lessons = lessons
         self.generator = torch.Generator(device).manual_seed(seed)
-        self.model = Model(spec, self.generator)
+        self.model = Model(spec, self.generator, periodic)
         self.function = accelerated(self.model, device, twice_differentiated=spec.gradient == "exact")
         self.optimizer = torch.optim.Adam(self.model.parameters, lr=spec.learning_rate, fused=True)
         self.step = 0
@@ -206,7 +218,7 @@ class Training:
 
 
 def train(
-    domain: Domain,
+    domain: Domain | Torus,
     skeletons: Skeletons,
     spec: NeuralField | DistilledField,
     seed: int,
@@ -219,7 +231,7 @@ def train(
     Parameters
     ----------
     domain, skeletons
-        Unit-cube frame.
+        Unit-cube frame; on the torus the network is periodic.
     spec
         Network, losses and schedule.
     seed
@@ -250,7 +262,7 @@ def train(
         teacher = solve_phase_field(domain, skeletons, spec.resolution, spec.minimality, Part(progress, 0.0, begun))
         gap = typical_gap(domain, skeletons)
         lessons.insert(0, (spec.teaching_steps, Imitation(teacher, lattice, gap, where)))
-    training = Training(spec, lessons, seed, where)
+    training = Training(spec, lessons, seed, where, lattice.periodic)
     if checkpoint is not None:
         training.resume(checkpoint)
     _run(training, paper, lattice, checkpoint, Part(progress, begun, 1.0))

@@ -117,6 +117,14 @@ def test_secants_agree_with_the_exact_gradient_on_the_network() -> None:
     assert smoothness_secants(model, found, generator).item() == pytest.approx(exact, rel=0.03)
 
 
+def test_the_network_of_a_torus_is_periodic() -> None:
+    model = training.Model(SMALL, torch.Generator().manual_seed(1), periodic=True)
+    points = torch.rand((50, 3), generator=torch.Generator().manual_seed(2))
+    there = points + torch.tensor([1.0, -1.0, 2.0])
+    torch.testing.assert_close(model(there), model(points), atol=1e-5, rtol=0)
+    assert model(points).std() > 1e-3
+
+
 def test_mirror_images_have_the_values_and_slopes_of_single_points() -> None:
     model = training.Model(SMALL, torch.Generator().manual_seed(1))
     centres, offsets = torch.rand((3, 3)), torch.rand((3, 20, 3)) - 0.5
