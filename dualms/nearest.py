@@ -23,22 +23,23 @@ class Nearest:
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        self._vertices, self._faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
+        self.mesh = TriangleMesh(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces))
 
     def __getstate__(self) -> dict[str, object]:
-        return {"_vertices": self._vertices, "_faces": self._faces}
+        return {"mesh": self.mesh}
 
     @cached_property
     def _tree(self) -> igl.AABB:
         tree = igl.AABB()
-        tree.init(self._vertices, self._faces)
+        tree.init(self.mesh.vertices, self.mesh.faces)
         return tree
 
     def foot(self, points: Array) -> tuple[Array, Array]:
         """(P,) distance of points (P, 3) from the mesh, and (P, 3) the nearest points on it."""
         if len(points) == 0:
             return np.zeros(0), np.zeros((0, 3))
-        squared, _, foot = self._tree.squared_distance(self._vertices, self._faces, np.ascontiguousarray(points))
+        vertices, faces = self.mesh.vertices, self.mesh.faces
+        squared, _, foot = self._tree.squared_distance(vertices, faces, np.ascontiguousarray(points))
         return np.sqrt(squared), np.asarray(foot)
 
     def distance(self, points: Array) -> Array:

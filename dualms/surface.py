@@ -7,7 +7,6 @@ only conversion from the unit cube back to metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import edt
 import numpy as np
@@ -32,10 +31,10 @@ class Surface:
     ----------
     mesh
         Open mesh in metres; its normals point to the cold side.
-    sheet
-        The surface as far outside the envelope as distances are exact and ``band`` more, unit-cube frame.
+    nearest
+        Of the surface as far outside the envelope as distances are exact and ``band`` more, unit-cube frame.
     distance
-        Signed distance to ``sheet`` on ``grid``, unit-cube units, positive on the hot side, clipped to ±``band``.
+        Signed distance to that on ``grid``, unit-cube units, positive on the hot side, clipped to ±``band``.
     depth
         Signed distance to the envelope on ``grid``, positive inside, clipped to a band of its own.
     grid
@@ -45,16 +44,11 @@ class Surface:
     """
 
     mesh: TriangleMesh
-    sheet: TriangleMesh
+    nearest: Nearest
     distance: Values
     depth: Values
     grid: Grid
     band: float
-
-    @cached_property
-    def nearest(self) -> Nearest:
-        """Nearest points of ``sheet``."""
-        return Nearest(self.sheet)
 
 
 def extract_surface(
@@ -89,13 +83,14 @@ def extract_surface(
     whole = level_set(np.where(depth > -farthest, values, -np.abs(values).max()), grid)
     if len(whole.faces) == 0:
         raise _empty()
-    distance = signed_distance(whole, values, grid, band, depth > -wanted)
+    nearest = Nearest(whole)
+    distance = signed_distance(nearest, values, grid, band, depth > -wanted)
     hot = Solid.of(whole)
     clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
     part = clipped.part(origin == hot.origin)
     if len(part.faces) == 0:
         raise _empty()
-    return Surface(to_metres(domain, part), whole, distance, depth, grid, band)
+    return Surface(to_metres(domain, part), nearest, distance, depth, grid, band)
 
 
 def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
@@ -131,9 +126,7 @@ def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
     return TriangleMesh(grid.origin + grid.spacing * vertices.astype(np.float64), faces.astype(np.int64))
 
 
-def signed_distance(
-    surface: TriangleMesh, values: Values, grid: Grid, band: float, wanted: NDArray[np.bool_]
-) -> Values:
+def signed_distance(nearest: Nearest, values: Values, grid: Grid, band: float, wanted: NDArray[np.bool_]) -> Values:
     """Exact distance to a surface on a grid, signed by ``values`` and clipped to ±band.
 
     Computed only at ``wanted`` voxels that may lie within the band; elsewhere it is ±band.
@@ -146,7 +139,7 @@ def signed_distance(
         near |= np.pad(change, [(1, 0) if k == axis else (0, 0) for k in range(3)])
     reach = wanted & (edt.edt(~near, parallel=0) <= band / grid.spacing + 1.0)
     distance = np.where(positive, band, -band).astype(np.float32)
-    exact = np.minimum(Nearest(surface).distance(grid.points(reach)), band)
+    exact = np.minimum(nearest.distance(grid.points(reach)), band)
     distance[reach] = np.where(positive[reach], exact, -exact)
     return distance
 

@@ -11,6 +11,7 @@ from dualms.body.header import Header
 from dualms.cfd.channels import VoxelExchanger, solid_share, voxelise
 from dualms.domain import Domain
 from dualms.grid import Grid
+from dualms.nearest import Nearest
 from dualms.surface import level_set, signed_distance
 from dualms.tpms import AREA, Kind, tpms_field
 
@@ -87,7 +88,7 @@ def exact_distance(domain: Domain, values: NDArray[np.floating], grid: Grid, tar
     surface = level_set(padded, Grid(grid.origin - extra * grid.spacing, grid.spacing, shape))
     sampled = grid.sample(values, target.points()).reshape(target.shape).astype(np.float32)
     wanted = domain.depth(target, 2 * target.spacing) > -1.9 * target.spacing
-    return signed_distance(surface, sampled, target, band, wanted)
+    return signed_distance(Nearest(surface), sampled, target, band, wanted)
 
 
 def tpms_distance(domain: Domain, kind: Kind, cell: float, target: Grid, wall: float) -> Values:

@@ -7,6 +7,7 @@ import pytest
 
 from dualms.errors import EmptySurface
 from dualms.grid import Grid
+from dualms.nearest import Nearest
 from dualms.surface import extract_surface, level_set, signed_distance
 from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid, shared_ends
 
@@ -46,7 +47,7 @@ def test_distance_to_a_plane_is_exact_in_the_band() -> None:
     height = (grid.points()[:, 2] - 0.47).reshape(grid.shape).astype(np.float32)
     surface = level_set(height, grid)
     inner = (np.abs(grid.points()[:, :2] - 0.5).max(axis=1) < 0.3).reshape(grid.shape)
-    distance = signed_distance(surface, height, grid, 0.12, np.ones(grid.shape, dtype=bool))
+    distance = signed_distance(Nearest(surface), height, grid, 0.12, np.ones(grid.shape, dtype=bool))
     np.testing.assert_allclose(distance[inner], np.clip(height, -0.12, 0.12)[inner], atol=1e-5)
 
 
@@ -71,9 +72,9 @@ def test_distances_are_exact_as_far_outside_as_they_are_wanted() -> None:
     grid = domain.grid(40, padding=16)
     values, band, outside = gyroid(grid, 0.4), 0.05, 0.06
     surface = extract_surface(domain, values, grid, band, 0.02, outside)
-    exact = signed_distance(level_set(values, grid), values, grid, band, np.ones(grid.shape, dtype=bool))
+    exact = signed_distance(Nearest(level_set(values, grid)), values, grid, band, np.ones(grid.shape, dtype=bool))
     wanted = surface.depth > -(outside + 2 * grid.spacing)
     np.testing.assert_allclose(surface.distance[wanted], exact[wanted], atol=1e-6)
     # And no further: most of the padding holds no surface.
-    assert len(surface.sheet.faces) < 0.8 * len(level_set(values, grid).faces)
-    np.testing.assert_allclose(surface.nearest.distance(surface.sheet.centroids), 0, atol=1e-12)
+    assert len(surface.nearest.mesh.faces) < 0.8 * len(level_set(values, grid).faces)
+    np.testing.assert_allclose(surface.nearest.distance(surface.nearest.mesh.centroids), 0, atol=1e-12)
