@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 
 import psutil
-import pytest
 
 from tests.worker.conftest import Cluster, wait_for
 
@@ -22,7 +21,6 @@ def test_the_worker_process_imports_no_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.slow
 def test_a_design_outlives_kills_of_its_step_and_of_its_worker(cluster: Cluster) -> None:
     made = cluster.submit()
     step = wait_for(cluster.steps)[0]
