@@ -86,7 +86,7 @@ class _Nodal:
 def _trained(method: str, nets: Any, resolution: int) -> Field:
     """A network on one cell, at a CPU's budget: about 1,000 steps of 2,048 points each.
 
-    Frequencies are whole numbers here, so the neural method takes half of the paper's: with more it keeps stray pockets.
+    Frequencies are whole numbers here; of the paper's standard deviation they gave stray pockets, of half of it none.
     The step size has fallen to 1/115 where the distilled network's last lesson, the paper's losses, begins: they lead
     away from a minimal surface (decision note 0004).
     """
