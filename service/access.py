@@ -186,7 +186,9 @@ def may_use_domain(caller: Caller, owner: str | None, domain_id: str) -> None:
 
 
 def within_quota(backend: Backend, caller: Caller, *, designs: int = 0, stored: int = 0, uploads: int = 0) -> None:
-    """Refuse what exceeds the key's quotas. Two requests at the same moment may both pass the last free place.
+    """Refuse what exceeds the key's quotas.
+
+    Call it within ``Turns.of`` the owner. Turns are those of one API process: two may both give the last free place.
 
     Raises
     ------
