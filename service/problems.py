@@ -18,6 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from dualms.errors import DualMSError
+from dualms.spec.refused import refused
 from worker.artifacts import StoreAway, StoreFull
 
 log = logging.getLogger("dualms.service")
@@ -190,9 +191,10 @@ def from_dualms(error: DualMSError) -> Problem:
 
 def from_validation(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> Problem:
     """Fields that pydantic refused; never echoes the input's values."""
-    fields = [FieldProblem(field=_path(e["loc"], prefix), message=_sentence(str(e["msg"]))) for e in errors[:20]]
+    faults = refused(errors)
+    fields = [FieldProblem(field=_field(path, prefix), message=message) for path, message in faults[:20]]
     first = fields[0]
-    more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
+    more = f" ({len(faults) - 1} more)" if len(faults) > 1 else ""
     unknown = any(e["type"] == "extra_forbidden" for e in errors)
     advice = "Unknown keys are refused: check the spelling. " if unknown else ""
     advice += "GET /openapi.json has the schema."
@@ -279,14 +281,8 @@ def _methods_at(app: FastAPI, path: str) -> list[str]:
     return []
 
 
-def _path(location: Sequence[str | int], prefix: str) -> str:
-    """`body.spec.fluids.hot` as clients wrote it; pydantic's names of union members are left out."""
-    parts = [str(p) for p in location]
-    if parts and parts[0] in ("body", "query", "path", "header"):
-        parts = parts[1:]
-    kept = [p for p in parts if not (p[:1].isupper() or "[" in p or "(" in p)]
-    return ".".join([prefix, *kept] if prefix else kept) or "body"
-
-
-def _sentence(message: str) -> str:
-    return message.removeprefix("Value error, ")
+def _field(path: tuple[str, ...], prefix: str) -> str:
+    """`spec.fluids.hot`, without the part of the request that FastAPI names first."""
+    if path[:1] in (("body",), ("query",), ("path",), ("header",)):
+        path = path[1:]
+    return ".".join((prefix, *path) if prefix else path) or "body"

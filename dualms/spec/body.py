@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, Tag, model_validator
 
-from dualms.spec.model import Coordinate, Length, Model, Point
+from dualms.spec.model import Coordinate, Length, Model, Point, by_key
 
 MAX_FACES = 3_000_000  # a 3MF of 45 MB
 
@@ -82,10 +82,18 @@ class GradedAround(Model):
 class WallGraded(Model):
     """Wall whose thickness the user varies over the body."""
 
-    graded: GradedAlong | GradedAround
+    graded: Annotated[
+        Annotated[GradedAlong, Tag("GradedAlong")] | Annotated[GradedAround, Tag("GradedAround")],
+        by_key({"direction": "GradedAlong", "points": "GradedAround"}),
+    ]
 
 
-WallSpec = WallThickness | WallFraction | WallGraded
+WallSpec = Annotated[
+    Annotated[WallThickness, Tag("WallThickness")]
+    | Annotated[WallFraction, Tag("WallFraction")]
+    | Annotated[WallGraded, Tag("WallGraded")],
+    by_key({"volume_fraction": "WallFraction", "graded": "WallGraded"}, default="WallThickness"),
+]
 
 
 class ShellSpec(Model):

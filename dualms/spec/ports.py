@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from pydantic import Field, model_validator
+from typing import Annotated
 
-from dualms.spec.model import Length, Model, Point
+from pydantic import Field, Tag, model_validator
+
+from dualms.spec.model import Length, Model, Point, by_key
 
 
 class FlangeSpec(Model):
@@ -60,4 +62,7 @@ class FacetPort(PlacedPort):
     facet: int = Field(ge=0, description="Index in the list that `dualms inspect` and POST /v1/domains give.")
 
 
-PortSpec = DiskPort | BoxPort | FacetPort
+PortSpec = Annotated[
+    Annotated[DiskPort, Tag("DiskPort")] | Annotated[BoxPort, Tag("BoxPort")] | Annotated[FacetPort, Tag("FacetPort")],
+    by_key({"center": "DiskPort", "box": "BoxPort", "facet": "FacetPort"}),
+]

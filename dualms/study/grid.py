@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from dualms.errors import DualMSError, InvalidSpec
 from dualms.spec import Spec
+from dualms.spec.refused import refused
 
 MAX_POINTS = 256
 MAX_BYTES = 32 * 1024**2  # of all specifications together, as JSON
@@ -155,16 +156,14 @@ def _point(base: Mapping[str, Any], values: dict[str, Any]) -> Point:
     try:
         return Point(values, Spec.model_validate(document))
     except ValidationError as error:
-        found = [(_blame(e["loc"], values), str(e["msg"]).removeprefix("Value error, ")) for e in error.errors()[:20]]
+        found = [(_blame(path, values), message) for path, message in refused(error.errors())[:20]]
         raise InvalidPoint(values, found) from None
 
 
-def _blame(location: Sequence[str | int], values: Mapping[str, Any]) -> str:
-    """The grid's path that a validation error is about, or else the specification's."""
-    parts = [str(part) for part in location]
+def _blame(keys: tuple[str, ...], values: Mapping[str, Any]) -> str:
+    """The grid's path that a fault is about, or else the specification's."""
     for path in values:
-        rest = iter(parts)
+        rest = iter(keys)
         if all(part in rest for part in path.split(".")):
             return f"grid.{path}"
-    # pydantic's names of union members are no fields
-    return ".".join(["spec", *(p for p in parts if not (p[:1].isupper() or "[" in p or "(" in p))])
+    return ".".join(("spec", *keys))
