@@ -84,9 +84,9 @@ class _Nodal:
 
 
 def _trained(method: str, nets: Any, resolution: int) -> Field:
-    """A network on one cell, at a CPU's budget: about 1,000 steps of 2,048 points each.
+    """A network on one cell, at a CPU's budget: 950 and 1,500 steps of 2,048 points each.
 
-    Frequencies are whole numbers here; of the paper's standard deviation they gave stray pockets, of half of it none.
+    Frequencies are whole numbers here; of the paper's standard deviation they gave stray pockets, of a third of it none.
     The step size has fallen to 1/115 where the distilled network's last lesson, the paper's losses, begins: they lead
     away from a minimal surface (decision note 0004).
     """
@@ -95,7 +95,7 @@ def _trained(method: str, nets: Any, resolution: int) -> Field:
         budget = {"teaching_steps": 900, "steps": 50, "points": 2048, "decay_every": 20, "minimality": 1.0}
         spec = DistilledField.model_validate({"method": "distilled", "resolution": resolution, **budget})
     else:
-        budget = {"steps": 1000, "decay_every": 50, "fourier_scale": 1.0}
+        budget = {"steps": 1500, "decay_every": 75, "fourier_scale": 0.7}
         spec = NeuralField.model_validate({"method": "neural", "preset": "cpu", "connect": False, **budget})
     return train(Torus(), nets, spec, 0, "cpu", None, Silent())  # type: ignore[arg-type]
 

@@ -14,11 +14,20 @@ THIN = 4  # times the samples that its area asks for
 SAMPLES_ACROSS = 400  # sample spacing over the domain's longest side; finer than the finest default grid
 
 
-def boundary_samples(mesh: DomainMesh) -> tuple[Array, NDArray[np.int64], Array]:
+def boundary_samples(
+    mesh: DomainMesh, wanted: NDArray[np.bool_] | None = None
+) -> tuple[Array, NDArray[np.int64], Array]:
     """(S, 3) points on a subdivision of each triangle, (S,) their triangles, and (S,) the area that each stands for.
 
     Where evenly cut triangles would have too many, the long thin ones are cut into rows across: CAD writes a cylinder
     as hundreds of slivers, which otherwise have as many samples each as a fat triangle of their length.
+
+    Parameters
+    ----------
+    mesh
+        Any mesh; how a triangle is cut depends on all of it.
+    wanted
+        (F,) the triangles to sample; default all.
     """
     step = float(np.ptp(mesh.vertices_m, axis=0).max()) / SAMPLES_ACROSS
     corners = mesh.vertices_m[mesh.faces]
@@ -34,10 +43,12 @@ def boundary_samples(mesh: DomainMesh) -> tuple[Array, NDArray[np.int64], Array]
     # The corner opposite to the shortest edge comes first.
     tip = np.where(thin, edges.argmin(axis=1) + 2, 0)
     corners = np.take_along_axis(corners, ((tip[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
-    points, owners, areas = [], [], []
-    for n, m in np.unique(np.stack([along, across], axis=1), axis=0).tolist():
+    if wanted is None:
+        wanted = np.ones(len(mesh.faces), dtype=bool)
+    points, owners, areas = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for n, m in np.unique(np.stack([along, across], axis=1)[wanted], axis=0).tolist():
         weights, parts = _rows(n, m) if m else _congruent(n)
-        which = np.flatnonzero((along == n) & (across == m))
+        which = np.flatnonzero(wanted & (along == n) & (across == m))
         points.append(np.einsum("wk,fkd->fwd", weights, corners[which]).reshape(-1, 3))
         owners.append(np.repeat(which, len(weights)))
         areas.append((mesh.areas[which, None] / parts).ravel())

@@ -136,7 +136,8 @@ def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Po
         for role, specs in (("inlet", value.inlets), ("outlet", value.outlets))
         for k, spec in enumerate(specs)
     ]
-    samples, triangle, sample_area = boundary_samples(mesh)
+    reached = np.any([_within_reach(mesh, spec, units, name) for name, *_, spec in listed], axis=0)
+    samples, triangle, sample_area = boundary_samples(mesh, reached)
     ports = []
     for name, fluid, inlet, spec in listed:
         covered = _covered(mesh, spec, samples, triangle, units, name)
@@ -151,10 +152,8 @@ def resolve_ports(mesh: DomainMesh, fluids: FluidsSpec, units: Unit) -> tuple[Po
     return tuple(ports)
 
 
-def _covered(
-    mesh: DomainMesh, spec: PortSpec, samples: Array, triangle: NDArray[np.int64], units: Unit, name: str
-) -> NDArray[np.int64]:
-    """Indices of the samples that a port covers."""
+def _within_reach(mesh: DomainMesh, spec: PortSpec, units: Unit, name: str) -> NDArray[np.bool_]:
+    """(F,) which triangles a port may cover: its facet's, or those whose bounding boxes meet its own."""
     if isinstance(spec, FacetPort):
         if spec.facet >= len(mesh.facets):
             raise InvalidSpec(
@@ -162,19 +161,35 @@ def _covered(
                 advice="Look the index up with `dualms inspect` or in the domain's record.",
                 measured={"port": name, "facets": len(mesh.facets)},
             )
-        chosen = np.isin(triangle, mesh.facets[spec.facet].triangles)
+        reached = np.zeros(len(mesh.faces), dtype=bool)
+        reached[mesh.facets[spec.facet].triangles] = True
+        return reached
+    if isinstance(spec, DiskPort):
+        low, high = (np.array(spec.center) * units.metres + sign * spec.radius * units.metres for sign in (-1, 1))
+    else:
+        low, high = np.array(spec.box) * units.metres
+    corners = mesh.vertices_m[mesh.faces]
+    slack = _slack(mesh)
+    return np.asarray(((corners.max(axis=1) >= low - slack) & (corners.min(axis=1) <= high + slack)).all(axis=1))
+
+
+def _covered(
+    mesh: DomainMesh, spec: PortSpec, samples: Array, triangle: NDArray[np.int64], units: Unit, name: str
+) -> NDArray[np.int64]:
+    """Indices of the samples that a port covers."""
+    if isinstance(spec, FacetPort):
+        found = np.flatnonzero(np.isin(triangle, mesh.facets[spec.facet].triangles))
     elif isinstance(spec, DiskPort):
         center = np.array(spec.center) * units.metres
         radius = spec.radius * units.metres
-        chosen = ((samples - center) ** 2).sum(axis=1) <= radius**2
-        chosen &= _facing(mesh, samples, triangle, chosen, center)
+        found = np.flatnonzero(((samples - center) ** 2).sum(axis=1) <= radius**2)
+        found = found[_facing(mesh.normals[triangle[found]], samples[found], center)]
     else:
         low, high = np.array(spec.box) * units.metres
-        slack = 1e-6 * np.ptp(mesh.vertices_m, axis=0).max()  # a box may lie in the plane of a face
-        chosen = ((samples >= low - slack) & (samples <= high + slack)).all(axis=1)
-    found = np.flatnonzero(chosen)
+        slack = _slack(mesh)
+        found = np.flatnonzero(((samples >= low - slack) & (samples <= high + slack)).all(axis=1))
     if len(found) == 0:
-        gap, nearest = _gap(spec, samples, units)
+        gap, nearest = _gap(spec, boundary_samples(mesh)[0], units)
         raise PortNotOnBoundary(
             f"Port {name} covers no part of the domain's boundary; the nearest boundary point, "
             f"{np.round(nearest / units.metres, 6).tolist()} {units.value}, is {gap / units.metres:.4g} "
@@ -185,15 +200,17 @@ def _covered(
     return found
 
 
-def _facing(
-    mesh: DomainMesh, samples: Array, triangle: NDArray[np.int64], chosen: NDArray[np.bool_], center: Array
-) -> NDArray[np.bool_]:
+def _slack(mesh: DomainMesh) -> float:
+    """How far a port's box may miss the boundary: it may lie in the plane of a face."""
+    return 1e-6 * float(np.ptp(mesh.vertices_m, axis=0).max())
+
+
+def _facing(normals: Array, samples: Array, center: Array) -> NDArray[np.bool_]:
     """Samples whose normal is within 60° of the normal at the disk's centre: a disk does not reach round an edge."""
-    if not chosen.any():
-        return chosen
-    near = np.flatnonzero(chosen)
-    at_center = near[((samples[near] - center) ** 2).sum(axis=1).argmin()]
-    return np.asarray(mesh.normals[triangle] @ mesh.normals[triangle[at_center]] > 0.5)
+    if len(samples) == 0:
+        return np.zeros(0, dtype=bool)
+    at_center = ((samples - center) ** 2).sum(axis=1).argmin()
+    return np.asarray(normals @ normals[at_center] > 0.5)
 
 
 def _gap(spec: PortSpec, samples: Array, units: Unit) -> tuple[float, Array]:
@@ -250,6 +267,8 @@ def _refuse_overlaps(ports: list[Port], specs: list[PortSpec], mesh: DomainMesh)
     for (a, spec_a), (b, spec_b) in combinations(zip(ports, specs, strict=True), 2):
         if spec_a == spec_b and a.fluid != b.fluid:
             continue
+        if _apart(a.samples, b.samples, tolerance):
+            continue
         distance, _ = cKDTree(b.samples).query(a.samples, distance_upper_bound=tolerance)
         common = int(np.isfinite(distance).sum())
         if common:
@@ -259,3 +278,9 @@ def _refuse_overlaps(ports: list[Port], specs: list[PortSpec], mesh: DomainMesh)
                 advice=SHARE if a.fluid != b.fluid else APART,
                 measured={"ports": [a.name, b.name], "overlap": share},
             )
+
+
+def _apart(a: Array, b: Array, tolerance: float) -> bool:
+    """Whether the bounding boxes of two sets of points keep more than a tolerance apart."""
+    gap = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
+    return bool((gap > tolerance).any())

@@ -29,13 +29,14 @@ class Things:
 
 @pytest.fixture(scope="module")
 def bob(team: Team) -> httpx.Client:
-    return team.client("bob")
+    """One who owns nothing; the bob of other files has uploaded the box."""
+    return team.client("bob-who-owns-nothing")
 
 
 @pytest.fixture(scope="module")
 def anns(team: Team, box: Path, plain_spec: dict[str, Any]) -> tuple[httpx.Client, Things]:
     """Ann's domain, a design that has succeeded, a study."""
-    ann = team.client("ann")
+    ann = team.client("ann-who-owns-things")
     domain = team.upload(ann, box).json()
     body = {"domain": domain["id"], "spec": plain_spec, "name": "anns-design", "labels": ["anns-label"]}
     design = ann.post("/v1/designs", json=body, headers={"Prefer": "wait=30"}).json()
