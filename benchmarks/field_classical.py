@@ -86,7 +86,7 @@ class _Nodal:
 def _trained(method: str, nets: Any, resolution: int) -> Field:
     """A network on one cell, at a CPU's budget: 950 and 1,500 steps of 2,048 points each.
 
-    Frequencies are whole numbers here; of the paper's standard deviation they gave stray pockets, of a third of it none.
+    Frequencies are whole numbers here: of the paper's standard deviation they gave stray pockets, of a third none.
     The step size has fallen to 1/115 where the distilled network's last lesson, the paper's losses, begins: they lead
     away from a minimal surface (decision note 0004).
     """
