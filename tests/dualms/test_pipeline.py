@@ -54,7 +54,7 @@ def _run(folder: Path, fluids: FluidsSpec, progress: Recorder | None = None, **c
     return spec
 
 
-@pytest.fixture(scope="module", params=["shared", "dedicated"])
+@pytest.fixture(scope="module", params=["shared", pytest.param("dedicated", marks=pytest.mark.slow)])
 def designed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recorder]:
     folder = tmp_path_factory.mktemp(request.param)
     progress = Recorder()

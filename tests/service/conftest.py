@@ -18,7 +18,9 @@ import httpx
 import psutil
 import pytest
 import trimesh
+from typer.testing import CliRunner
 
+from service.cli import app
 from tests.service.designs import small
 from worker.processes import with_parent
 
@@ -181,10 +183,11 @@ def as_json(answer: httpx.Response) -> str:
 
 
 def run_keys(data: Path, *words: str) -> str:
-    """Run `dualms keys`; gives its output."""
-    command = [sys.executable, "-m", "service.cli", "keys", "--data", str(data), *words]
-    env = {**os.environ, "COLUMNS": "200"}
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=env).stdout
+    """Run `dualms keys` in this process; gives its output."""
+    runner = CliRunner(env={"COLUMNS": "200", "DUALMS_DATA_DIR": str(data)})
+    done = runner.invoke(app, ["keys", "--data", str(data), *words])
+    assert done.exit_code == 0, done.output
+    return str(done.stdout)
 
 
 class Team:

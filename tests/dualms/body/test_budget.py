@@ -12,6 +12,7 @@ from dualms.measure.printing import wall_samples
 from dualms.surface import Surface, extract_surface
 from tests.dualms.shapes import box_mesh, domain_of, gyroid, shared_ends
 
+pytestmark = pytest.mark.slow
 WALL, SHELL = 0.04, 0.05
 
 
