@@ -14,6 +14,8 @@ from dualms.ports import resolve_ports
 from dualms.reading import read_domain_mesh
 from dualms.spec import FluidsSpec, Spec, Unit
 
+_DOMAINS: dict[tuple[bytes, bytes, str], Domain] = {}
+
 
 def box_mesh(size: tuple[float, float, float] = (80.0, 60.0, 40.0)) -> DomainMesh:
     """A box with its lower corner at the origin, sides in millimetres."""
@@ -57,8 +59,11 @@ def shared_ends(size: tuple[float, float, float] = (80.0, 60.0, 40.0)) -> Fluids
 
 
 def domain_of(mesh: DomainMesh, fluids: FluidsSpec) -> Domain:
-    """The domain of a mesh in millimetres with its ports."""
-    return Domain.from_mesh(mesh, resolve_ports(mesh, fluids, Unit.MM))
+    """The domain of a mesh in millimetres with its ports; the same one for the same mesh and ports."""
+    asked = (mesh.vertices_m.tobytes(), mesh.faces.tobytes(), fluids.model_dump_json())
+    if asked not in _DOMAINS:
+        _DOMAINS[asked] = Domain.from_mesh(mesh, resolve_ports(mesh, fluids, Unit.MM))
+    return _DOMAINS[asked]
 
 
 def gyroid(grid: Grid, cell: float) -> np.ndarray:

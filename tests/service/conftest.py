@@ -10,9 +10,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import httpx
 import psutil
@@ -21,7 +22,8 @@ import trimesh
 from typer.testing import CliRunner
 
 from service.cli import app
-from tests.service.designs import small
+from service.commands import console
+from tests.service.designs import read_stream, small
 from worker.processes import with_parent
 
 START_S = 120.0  # a busy machine takes long to import; the claim of 2 s is that of benchmarks.load
@@ -166,13 +168,40 @@ def domain_id(served: Served, box: Path) -> str:
     return str(served.upload(box).json()["id"])
 
 
+class Trace(NamedTuple):
+    """What a client saw of a design on its way: the answers of long polls, and the events of a stream."""
+
+    polled: list[dict[str, Any]]
+    etags: list[str]
+    events: list[dict[str, str]]
+
+
 @pytest.fixture(scope="session")
-def made(served: Served, domain_id: str) -> dict[str, Any]:
-    """A design that has succeeded."""
+def traced(served: Served, domain_id: str) -> Trace:
+    """The small design, followed to its end by long polls and by its event stream at once.
+
+    It is the first that runs whole: whose steps are found in the cache shows no stage on its way. So a test that needs
+    such a design to succeed asks for ``made``.
+    """
     body = {"domain": domain_id, "spec": small(), "name": "made", "labels": ["a"]}
     answer = served.http.post("/v1/designs", json=body)
     assert answer.status_code == 202, answer.text
-    ended = served.ended(answer.json()["id"])
+    design, etags = answer.json(), [answer.headers["etag"]]
+    polled = [design]
+    with ThreadPoolExecutor(1) as pool:
+        stream = pool.submit(read_stream, served, design["events"])
+        while polled[-1]["status"] in ("queued", "running"):
+            look = served.http.get(design["href"], headers={"If-None-Match": etags[-1], "Prefer": "wait=20"})
+            if look.status_code == 200:
+                polled.append(look.json())
+                etags.append(look.headers["etag"])
+        return Trace(polled, etags, stream.result(30))
+
+
+@pytest.fixture(scope="session")
+def made(served: Served, traced: Trace) -> dict[str, Any]:
+    """The small design, which has succeeded."""
+    ended = traced.polled[-1]
     assert ended["status"] == "succeeded", f"{ended['error']}\n{served.logs()}"
     return ended
 
@@ -184,8 +213,8 @@ def as_json(answer: httpx.Response) -> str:
 
 def run_keys(data: Path, *words: str) -> str:
     """Run `dualms keys` in this process; gives its output."""
-    runner = CliRunner(env={"COLUMNS": "200", "DUALMS_DATA_DIR": str(data)})
-    done = runner.invoke(app, ["keys", "--data", str(data), *words])
+    console.out.width = 200
+    done = CliRunner(env={"DUALMS_DATA_DIR": str(data)}).invoke(app, ["keys", "--data", str(data), *words])
     assert done.exit_code == 0, done.output
     return str(done.stdout)
 

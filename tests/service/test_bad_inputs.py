@@ -226,7 +226,7 @@ def test_bad_specification_is_refused_at_submission(
 
 @pytest.mark.parametrize("case", JOBS)
 def test_what_only_the_mesh_tells_is_a_failed_design_with_a_code(
-    served: Served, domain_id: str, spec: dict[str, Any], case: str
+    served: Served, domain_id: str, spec: dict[str, Any], made: dict[str, Any], case: str
 ) -> None:
     apply, code = JOBS[case]
     apply(spec)

@@ -33,7 +33,9 @@ def spec_file(tmp_path: Path, spec: dict[str, Any]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def submitted(served: Served, box: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+def submitted(
+    served: Served, made: dict[str, Any], box: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Any]:
     """What `dualms submit` leaves: the folder, and how it ended."""
     folder = tmp_path_factory.mktemp("submitted")
     (folder / "spec.json").write_text(json.dumps(SPEC))
@@ -55,7 +57,9 @@ def test_submit_waits_downloads_and_checks_the_requirements(submitted: tuple[Pat
     assert str(folder / "solid.stl") in done.stdout
 
 
-def test_submit_leaves_with_1_where_a_requirement_fails(served: Served, box: Path, spec_file: Path) -> None:
+def test_submit_leaves_with_1_where_a_requirement_fails(
+    served: Served, made: dict[str, Any], box: Path, spec_file: Path
+) -> None:
     spec_file.write_text(json.dumps(SPEC))
     done = dualms("submit", box, spec_file, "--url", served.url, "--require", "solid_volume_fraction < 0.001")
     assert done.returncode == 1
@@ -156,7 +160,9 @@ def test_every_command_has_help() -> None:
 # --- the Python client --------------------------------------------------------------------------------------------
 
 
-def test_client_uploads_submits_waits_and_downloads(served: Served, box: Path, tmp_path: Path) -> None:
+def test_client_uploads_submits_waits_and_downloads(
+    served: Served, made: dict[str, Any], box: Path, tmp_path: Path
+) -> None:
     seen: list[str] = []
     with Client(served.url) as client:
         domain = client.upload_domain(box, "mm")

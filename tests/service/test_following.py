@@ -3,44 +3,13 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import pytest
+from typing import TYPE_CHECKING, Any
 
 from dualms.steps import STAGES
 from tests.service.designs import read_stream, small
 
 if TYPE_CHECKING:
-    from conftest import Served
-
-
-class Trace(NamedTuple):
-    """What a client saw of a design on its way: the answers of long polls, and the events of a stream."""
-
-    polled: list[dict[str, Any]]
-    etags: list[str]
-    events: list[dict[str, str]]
-
-
-@pytest.fixture(scope="module")
-def traced(served: Served, domain_id: str) -> Trace:
-    """A design followed from submission to its end, by long polls and by its event stream at once."""
-    answer = served.http.post(
-        "/v1/designs",
-        json={"domain": domain_id, "spec": small(seed=5)},  # of its own: what is reused shows no stage on its way
-    )
-    assert answer.status_code == 202, answer.text
-    design, etags = answer.json(), [answer.headers["etag"]]
-    polled = [design]
-    with ThreadPoolExecutor(1) as pool:
-        stream = pool.submit(read_stream, served, design["events"])
-        while polled[-1]["status"] in ("queued", "running"):
-            look = served.http.get(design["href"], headers={"If-None-Match": etags[-1], "Prefer": "wait=20"})
-            if look.status_code == 200:
-                polled.append(look.json())
-                etags.append(look.headers["etag"])
-        return Trace(polled, etags, stream.result(30))
+    from conftest import Served, Trace
 
 
 def test_every_stage_has_its_time_and_comes_in_order(traced: Trace) -> None:
@@ -69,7 +38,9 @@ def test_long_polls_return_on_change_with_moving_progress(traced: Trace) -> None
     assert {record["stage"] for record in traced.polled} >= {"body", "report"} or len(traced.polled) > 8
 
 
-def test_prefer_wait_at_submission_answers_when_the_design_has_ended(served: Served, domain_id: str) -> None:
+def test_prefer_wait_at_submission_answers_when_the_design_has_ended(
+    served: Served, domain_id: str, made: dict[str, Any]
+) -> None:
     body = {"domain": domain_id, "spec": small()}
     answer = served.http.post("/v1/designs", json=body, headers={"Prefer": "wait=60"})
     assert answer.json()["status"] == "succeeded"

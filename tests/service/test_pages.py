@@ -25,7 +25,9 @@ def test_metrics_count_requests_and_designs(served: Served, made: dict[str, Any]
     assert 'route="/v1/designs/{design_id}"' in text
 
 
-def test_landing_page_shows_the_design_and_needs_no_other_host(served: Served, domain_id: str) -> None:
+def test_landing_page_shows_the_design_and_needs_no_other_host(
+    served: Served, domain_id: str, made: dict[str, Any]
+) -> None:
     body = {"domain": domain_id, "spec": small(), "name": "<script>alert(1)</script>"}
     design = served.http.post("/v1/designs", json=body).json()
     ended = served.ended(design["id"])

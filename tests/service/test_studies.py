@@ -22,7 +22,7 @@ def base() -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def ended(served: Served, domain_id: str, base: dict[str, Any]) -> dict[str, Any]:
+def ended(served: Served, domain_id: str, base: dict[str, Any], made: dict[str, Any]) -> dict[str, Any]:
     """A 2 × 2 study, one of whose walls leaves no room for the fluids."""
     grid = {"shell": [None, {"thickness": 1.0}], "wall.thickness": [1.0, 12.0]}
     body = {"domain": domain_id, "spec": base, "grid": grid, "name": "walls", "labels": ["b"]}
