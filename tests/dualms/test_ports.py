@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from dualms.boundary import SAMPLES_ACROSS
+from dualms.boundary import SAMPLES_ACROSS, boundary_samples
 from dualms.errors import InvalidSpec, OverlappingPorts, PortNotOnBoundary
 from dualms.mesh import DomainMesh
 from dualms.ports import resolve_ports
@@ -86,3 +86,17 @@ def test_a_tube_of_slivers_is_sampled_as_its_area_asks() -> None:
     assert len(port.samples) < 2_000_000
     assert port.area == pytest.approx(np.pi / 4, rel=1e-4)
     assert np.linalg.norm(port.samples - port.center, axis=1).min() < 1 / SAMPLES_ACROSS
+
+
+@pytest.mark.parametrize("shape", ["box", "slivers"])
+def test_samples_of_some_triangles_are_those_of_all_that_lie_in_them(shape: str) -> None:
+    if shape == "box":
+        mesh = box_mesh()
+    else:  # of which the long thin ones are cut into rows
+        tube = trimesh.creation.cylinder(0.01, 0.1, sections=400)
+        mesh = DomainMesh(np.asarray(tube.vertices), tube.faces.astype(np.int64), Unit.MM)
+    wanted = np.random.default_rng(0).random(len(mesh.faces)) < 0.3
+    points, owners, areas = boundary_samples(mesh)
+    some = wanted[owners]
+    for found, known in zip(boundary_samples(mesh, wanted), (points[some], owners[some], areas[some]), strict=True):
+        np.testing.assert_array_equal(found, known)
