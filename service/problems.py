@@ -189,9 +189,9 @@ def from_dualms(error: DualMSError) -> Problem:
     )
 
 
-def from_validation(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> Problem:
-    """Fields that pydantic refused; never echoes the input's values."""
-    faults = refused(errors)
+def from_validation(errors: Sequence[Mapping[str, Any]], document: object, prefix: str = "") -> Problem:
+    """Fields of a document that pydantic refused; never echoes their values."""
+    faults = refused(errors, document)
     fields = [FieldProblem(field=_field(path, prefix), message=message) for path, message in faults[:20]]
     first = fields[0]
     more = f" ({len(faults) - 1} more)" if len(faults) > 1 else ""
@@ -223,7 +223,8 @@ def install(app: FastAPI) -> None:
         errors = list(error.errors())
         if any(e["type"] == "json_invalid" for e in errors):
             return Problem("malformed-request", "The body is not JSON.", "Send one JSON object.").response()
-        return from_validation(errors).response()
+        given = {"path": request.path_params, "query": request.query_params, "header": request.headers}
+        return from_validation(errors, {**given, "body": error.body}).response()
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> Response:

@@ -156,7 +156,7 @@ def _point(base: Mapping[str, Any], values: dict[str, Any]) -> Point:
     try:
         return Point(values, Spec.model_validate(document))
     except ValidationError as error:
-        found = [(_blame(path, values), message) for path, message in refused(error.errors())[:20]]
+        found = [(_blame(path, values), message) for path, message in refused(error.errors(), document)[:20]]
         raise InvalidPoint(values, found) from None
 
 

@@ -181,10 +181,11 @@ def _read_spec(path: Path) -> Spec:
     from dualms.spec import Spec
     from service.problems import from_validation
 
+    document = read_json(path)
     try:
-        return Spec.model_validate(read_json(path))
+        return Spec.model_validate(document)
     except ValidationError as error:
-        problem = from_validation(error.errors())
+        problem = from_validation(error.errors(), document)
         lines = "\n".join(f"  {f.field}: {f.message}" for f in problem.errors)
         refuse(
             f"{path} is not a specification:\n{lines}",

@@ -118,7 +118,7 @@ def _model(kind: type[M], document: Any, prefix: str = "") -> M:
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        raise from_validation(error.errors(), prefix) from None
+        raise from_validation(error.errors(), document, prefix) from None
 
 
 def _digest(domain_id: str, spec: Spec, options: DesignOptions) -> str:

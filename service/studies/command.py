@@ -45,7 +45,7 @@ def read_plan(path: Path, document: dict[str, Any], domain: Path | None) -> tupl
     try:
         plan = StudyPlan.model_validate(document)
     except ValidationError as error:
-        lines = "; ".join(f"{f.field}: {f.message}" for f in from_validation(error.errors()).errors)
+        lines = "; ".join(f"{f.field}: {f.message}" for f in from_validation(error.errors(), document).errors)
         raise InvalidSpec(
             f"{path} is not a study: {lines}.", advice='It holds {"domain", "spec", "grid"}; README has an example.'
         ) from None

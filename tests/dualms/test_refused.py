@@ -21,7 +21,7 @@ PORTS = ("fluids", "hot", "inlets", "0")
 def faults(document: dict[str, Any]) -> list[tuple[tuple[str, ...], str]]:
     with pytest.raises(ValidationError) as error:
         Spec.model_validate(document)
-    return refused(error.value.errors())
+    return refused(error.value.errors(), document)
 
 
 @pytest.mark.parametrize(
@@ -61,6 +61,21 @@ def test_a_port_is_refused_as_the_kind_that_it_was_meant_to_be(port: Any, path: 
 def test_a_wall_is_refused_as_the_kind_that_it_was_meant_to_be(wall: Any, path: tuple[str, ...]) -> None:
     ((where, _),) = faults({**EXAMPLE, "wall": wall})
     assert where == ("wall", *path)
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "path"),
+    [
+        ("field", {"method": "phase-field", "resolution": 3}, ("field", "resolution")),
+        ("field", {"method": "neural", "preset": "cpu", "points": 0}, ("field", "points")),
+        ("field", {"method": "guess"}, ("field",)),
+        ("flow", {"kind": "direction"}, ("flow", "vector")),
+        ("flow", {"kind": "path", "points": [[0, 0, 0], [0, "x", 1]]}, ("flow", "points", "1", "1")),
+    ],
+)
+def test_the_name_of_a_kind_is_no_key(part: str, value: dict[str, Any], path: tuple[str, ...]) -> None:
+    ((where, _),) = faults({**EXAMPLE, part: value})
+    assert where == path
 
 
 def test_a_list_without_ports_is_too_short_of_itself() -> None:
