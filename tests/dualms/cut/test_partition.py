@@ -25,7 +25,7 @@ QUICK = PartitionSpec(seconds=0.03)
 GREEDY = PartitionSpec(method="greedy")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     count=st.integers(40, 160),
     seed=st.integers(0, 10**6),
