@@ -33,7 +33,7 @@ def test_a_sound_body_has_no_ways_but_its_ports(ducts: Body) -> None:
 
 def test_a_wall_far_thinner_than_a_voxel_stops_the_walk() -> None:
     domain = domain_of(box_mesh(), shared_ends())
-    grid = domain.grid(32, padding=4)
+    grid = domain.grid(48, padding=4)
     surface = extract_surface(domain, gyroid(grid, 0.5), grid, 0.07, SHELL)
     body = make_body(domain, surface, 0.002, SHELL)
     found = separation(body, 10 * 0.002 * 0.08)
