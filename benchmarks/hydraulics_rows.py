@@ -163,7 +163,7 @@ class Bench:
     def _voxels(self, overrides: dict[str, Any], grid: int) -> VoxelExchanger:
         domain, wall = self.case.domain, self.case.wall
         target, fine = domain.grid(grid, padding=2), domain.grid(192, padding=4)
-        distance = exact_distance(domain, self._field(overrides).on(fine), fine, target, wall)
+        distance = exact_distance(self._field(overrides).on(fine), fine, target, wall)
         return voxelise(domain, distance, target, wall)
 
     def _field(self, overrides: dict[str, Any]) -> Field:

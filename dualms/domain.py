@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import edt
 import igl
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,8 @@ from dualms.booleans import Solid
 from dualms.errors import DisconnectedDomain
 from dualms.grid import Array, Grid, thinned
 from dualms.mesh import DomainMesh
+from dualms.narrow_band import band_distance
+from dualms.nearest import Nearest
 from dualms.ports import Port
 from dualms.triangles import TriangleMesh
 
@@ -71,6 +72,10 @@ class Domain:
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
     @cached_property
+    def _boundary(self) -> Nearest:
+        return Nearest(TriangleMesh(self.vertices, self.faces))
+
+    @cached_property
     def _fine(self) -> TriangleMesh:
         """The boundary in triangles of at most 1/64: winding numbers near long thin ones cost up to ten times more."""
         mesh = TriangleMesh(self.vertices, self.faces)
@@ -93,20 +98,15 @@ class Domain:
         """(P,) exact distance to the boundary, positive inside."""
         if len(points) == 0:
             return np.zeros(0)
-        points = np.ascontiguousarray(points)
-        squared, _, _ = igl.point_mesh_squared_distance(points, self.vertices, self.faces)
-        return np.asarray(np.where(self.contains(points), 1.0, -1.0) * np.sqrt(squared), dtype=float)
+        return np.asarray(np.where(self.contains(points), 1.0, -1.0) * self._boundary.distance(points), dtype=float)
 
     def depth(self, grid: Grid, band: float) -> NDArray[np.float32]:
         """Signed distance to the boundary on a grid, positive inside, exact below ``band`` and clipped to ±band.
 
-        Distances are computed near the boundary only. Two neighbours on different sides of the boundary cannot both be
-        further than half a voxel from it, so beyond that one inside test a connected region decides the sign.
+        Two neighbours on different sides of the boundary cannot both be further than half a voxel from it, so beyond
+        that one inside test a connected region decides the sign.
         """
-        near = self._near_boundary(grid, band)
-        distance = np.full(grid.shape, band)
-        squared, _, _ = igl.point_mesh_squared_distance(grid.points(near), self.vertices, self.faces)
-        distance[near] = np.minimum(np.sqrt(squared), band)
+        distance = band_distance(self._fine, grid, max(band, grid.spacing))
         far = distance > 0.51 * grid.spacing
         inside = np.zeros(grid.shape, dtype=bool)
         inside[~far] = self.contains(grid.points(~far))
@@ -115,6 +115,7 @@ class Domain:
             boxes = ndimage.find_objects(regions)
             seeds = np.array([_first_of(regions, box, k + 1) for k, box in enumerate(boxes)])
             inside[far] = self.contains(grid.origin + grid.spacing * seeds)[regions[far] - 1]
+        distance = np.minimum(distance, band)
         return np.where(inside, distance, -distance).astype(np.float32)
 
     def inside(self, grid: Grid) -> Mask:
@@ -155,25 +156,6 @@ class Domain:
             _, nearest = tree.query(thinned(inward, 0.5 * grid.spacing))
             found.append(interior[np.unique(nearest)])
         return tuple(found)
-
-    def _near_boundary(self, grid: Grid, band: float) -> Mask:
-        """Voxels that may lie within ``band`` of the boundary."""
-        triangles = self.vertices[self.faces]
-        longest = np.sqrt(((triangles - np.roll(triangles, 1, axis=1)) ** 2).sum(-1).max(axis=1))
-        pieces = np.maximum(np.ceil(longest / grid.spacing).astype(int), 1)
-        marked = np.zeros(grid.shape, dtype=bool)
-        for n in np.unique(pieces):
-            u, v = np.meshgrid(np.arange(n + 1) / n, np.arange(n + 1) / n, indexing="ij")
-            weights = np.stack([u[u + v <= 1 + 1e-9], v[u + v <= 1 + 1e-9]], axis=1)
-            weights = np.column_stack([1 - weights.sum(axis=1), weights])
-            chunk = max(1, 4_000_000 // len(weights))
-            group = triangles[pieces == n]
-            for start in range(0, len(group), chunk):
-                points = np.einsum("wk,fkd->fwd", weights, group[start : start + chunk]).reshape(-1, 3)
-                marked[tuple(grid.nearest(points).T)] = True
-        # A marked voxel's centre is at most √3/2 spacings from a sample, a sample at most one from any boundary point.
-        reach = band / grid.spacing + 2.0
-        return np.asarray(edt.edt(~marked, parallel=0) <= reach)
 
 
 def _first_of(regions: NDArray[np.int32], box: tuple[slice, ...], label: int) -> NDArray[np.int64]:

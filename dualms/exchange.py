@@ -112,10 +112,8 @@ def wall_thickness_m(sheet: TriangleMesh, body: Body) -> Array:
 def _interface(fluid: Fluid) -> tuple[TriangleMesh, NDArray[np.bool_]]:
     """The fluid's side of the wall, and which of its triangles (F,) touch its border."""
     side = fluid.mesh.part(fluid.patch == INTERFACE)
-    edges = np.sort(np.concatenate([side.faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
-    ends, count = np.unique(edges, axis=0, return_counts=True)
     border = np.zeros(len(side.vertices), dtype=bool)
-    border[ends[count == 1]] = True
+    border[side.border] = True
     return side, np.asarray(border[side.faces].any(axis=1))
 
 

@@ -59,6 +59,12 @@ class Grid:
         """Number of voxels."""
         return int(np.prod(self.shape))
 
+    def padded(self, count: int) -> Grid:
+        """The grid with so many voxels more on every side."""
+        nx, ny, nz = self.shape
+        more = 2 * count
+        return Grid(self.origin - count * self.spacing, self.spacing, (nx + more, ny + more, nz + more))
+
     def axes(self) -> tuple[Array, Array, Array]:
         """Coordinates of the voxel centres along x, y and z."""
         x, y, z = (self.origin[k] + self.spacing * np.arange(self.shape[k]) for k in range(3))

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from dualms.body.body import Body
 from dualms.body.patches import INTERFACE
-from dualms.nearest import Nearest
+from dualms.measure.printing import beside_the_shell, to_cold
 from dualms.render import camera, decoded, render
-from dualms.surface import Surface
 from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -25,15 +24,17 @@ INCHES = 6.4  # across a map, for its text: that shrinks with the picture
 UNKNOWN = (0.75, 0.75, 0.75)  # where there is no fit, or no wall of its own
 
 
-def maps(surface: Surface, curvature: Array, body: Body, path: Path, width: int = 640) -> None:
+def maps(sheet: TriangleMesh, curvature: Array, body: Body, path: Path, width: int = 640) -> None:
     """Write ``maps.png``.
 
     Parameters
     ----------
-    surface, body
-        In metres.
+    sheet
+        The separating surface, metres.
     curvature
-        (V,) mean curvature at the vertices of the surface's mesh, 1/m.
+        (V,) mean curvature at its vertices, 1/m.
+    body
+        In metres.
     path
         A PNG file.
     width
@@ -45,11 +46,11 @@ def maps(surface: Surface, curvature: Array, body: Body, path: Path, width: int 
     curvature = curvature / 1e3
     limit = float(np.nanquantile(np.abs(curvature), 0.95)) if np.isfinite(curvature).any() else 1.0
     wall = body.hot.mesh.part(body.hot.patch == INTERFACE)
-    thickness = 1e3 * _thickness(wall, body)
+    thickness = 1e3 * np.where(beside_the_shell(wall.vertices, body), np.nan, to_cold(wall.vertices, body))
     known = thickness[np.isfinite(thickness)]
     low, high = np.quantile(known, (0.01, 0.99)) if len(known) else (0.0, 1.0)
     panels = (
-        (surface.mesh, curvature, (-limit, limit), "coolwarm", "Mean curvature of the separating surface", "H, 1/mm"),
+        (sheet, curvature, (-limit, limit), "coolwarm", "Mean curvature of the separating surface", "H, 1/mm"),
         (wall, thickness, (0.97 * low, 1.03 * high), "viridis", "Thickness of the wall", "mm"),
     )
     for axis, (mesh, values, span, colours, title, label) in zip(axes, panels, strict=True):
@@ -60,14 +61,6 @@ def maps(surface: Surface, curvature: Array, body: Body, path: Path, width: int 
         bar.set_label(label, fontsize=13)
         bar.ax.tick_params(labelsize=12)
     figure.savefig(path, dpi=width / INCHES)
-
-
-def _thickness(wall: TriangleMesh, body: Body) -> Array:
-    """(V,) metres; NaN beside the shell, where the wall has no thickness of its own."""
-    cold = body.cold.mesh.part(body.cold.patch == INTERFACE)
-    rim = body.hot.mesh.part(body.hot.patch != INTERFACE)
-    beside = Nearest(rim).distance(wall.vertices)
-    return np.where(beside < 2 * body.wall_m, np.nan, Nearest(cold).distance(wall.vertices))
 
 
 def _painted(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
+from dualms.beside import second_process
 from dualms.body.body import make_body
 from dualms.body.headers import headers_of
 from dualms.body.thickness import greatest
@@ -108,32 +108,42 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     inside, outside = shells(spec.shell, units, domain)
     shell = inside or outside
     grid = domain.grid(spec.surface.resolution, padding=4 + ceil(outside * spec.surface.resolution))
-    wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, field.on))
-    band = greatest(wall) / 2 + BAND_VOXELS * grid.spacing
-    surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell, outside))
-    headers = headers_of(domain, spec.fluids, units, spec.shell)
-    most = spec.surface.max_faces
-    body = watch.run("body", lambda: make_body(domain, surface, wall, shell, outside > 0, headers, units.metres, most))
+    with second_process(grid.size, "dualms.results") as beside:
+        wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, field.on))
+        band = greatest(wall) / 2 + BAND_VOXELS * grid.spacing
+        surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell, outside))
+        headers = headers_of(domain, spec.fluids, units, spec.shell)
+        body = watch.run(
+            "body",
+            lambda: make_body(
+                domain, surface, wall, shell, outside > 0, headers, units.metres, spec.surface.max_faces, beside
+            ),
+        )
 
-    def measure() -> Report:
-        curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces)
-        graph, cut = given.graph, given.partition
-        sha256 = sha256_of(domain_file)
-        with ThreadPoolExecutor(2) as beside:  # path tracing and packing leave the interpreter free for the measuring
-            files = (
-                beside.submit(results.draw, folder, domain, graph, cut, surface, curvature, body, spec.pictures.width),
-                beside.submit(
-                    results.write_meshes, folder, domain, graph, cut, surface, body, units, spec.output.formats
-                ),
+        def measure() -> Report:
+            graph, cut = given.graph, given.partition
+            curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces)
+            drawn = beside.submit(
+                results.draw, folder, domain, graph, cut, surface.mesh, curvature, body, spec.pictures.width
             )
+            results.write_meshes(folder, domain, graph, cut, surface, body, units, spec.output.formats)
             report = make_report(
-                domain, sha256, cut, len(graph.edges), field, surface, curvature, body, wall, spec, given.units
+                domain,
+                sha256_of(domain_file),
+                cut,
+                len(graph.edges),
+                field,
+                surface,
+                curvature,
+                body,
+                wall,
+                spec,
+                given.units,
             )
-            for written in files:
-                written.result()
-        return report
+            drawn.result()
+            return report
 
-    report = watch.run("report", measure)
+        report = watch.run("report", measure)
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))
 
 

@@ -74,15 +74,15 @@ def draw(
     domain: Domain,
     graph: Graph,
     partition: Partition,
-    surface: Surface,
+    sheet: TriangleMesh,
     curvature: Array,
     body: Body,
     width: int,
 ) -> None:
-    """Draw the pictures, so many pixels across; ``curvature`` is that of the surface's vertices, 1/m."""
+    """Draw the pictures, so many pixels across; ``curvature`` is that of the vertices of the surface ``sheet``, 1/m."""
     bones = _bones(domain, graph, partition)
     preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", width)
-    maps(surface, curvature, body, folder / "maps.png", width // 2)
+    maps(sheet, curvature, body, folder / "maps.png", width // 2)
     sections_picture(domain, body, folder / "sections.png")
 
 

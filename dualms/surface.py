@@ -7,6 +7,7 @@ only conversion from the unit cube back to metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import edt
 import numpy as np
@@ -17,6 +18,7 @@ from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import EmptySurface
 from dualms.grid import Grid
+from dualms.narrow_band import band_distance
 from dualms.nearest import Nearest
 from dualms.triangles import TriangleMesh
 
@@ -24,13 +26,11 @@ Values = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Surface:
-    """The clipped separating surface.
+class Sheet:
+    """The separating surface as walls need it: distances to it, as far out of the envelope as they are wanted.
 
     Parameters
     ----------
-    mesh
-        Open mesh in metres; its normals point to the cold side.
     nearest
         Of the surface as far outside the envelope as distances are exact and ``band`` more, unit-cube frame.
     distance
@@ -43,7 +43,6 @@ class Surface:
         Where ``distance`` is exact.
     """
 
-    mesh: TriangleMesh
     nearest: Nearest
     distance: Values
     depth: Values
@@ -51,10 +50,47 @@ class Surface:
     band: float
 
 
+@dataclass(frozen=True)
+class Surface(Sheet):
+    """The separating surface.
+
+    Parameters
+    ----------
+    mesh
+        Clipped to the domain: an open mesh in metres; its normals point to the cold side.
+    """
+
+    mesh: TriangleMesh
+
+
 def extract_surface(
     domain: Domain, values: Values, grid: Grid, band: float, shell: float = 0.0, outside: float | None = None
 ) -> Surface:
     """Take the zero level set of a field inside the domain.
+
+    Parameters
+    ----------
+    domain, values, grid, band, shell, outside
+        As for :func:`extract_sheet`.
+
+    Raises
+    ------
+    EmptySurface
+        If the field has one sign in the whole domain.
+    """
+    sheet = extract_sheet(domain, values, grid, band, shell, outside)
+    hot = Solid.of(sheet.nearest.mesh)
+    clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
+    part = clipped.part(origin == hot.origin)
+    if len(part.faces) == 0:
+        raise _empty()
+    return Surface(**vars(sheet), mesh=to_metres(domain, part))
+
+
+def extract_sheet(
+    domain: Domain, values: Values, grid: Grid, band: float, shell: float = 0.0, outside: float | None = None
+) -> Sheet:
+    """Take the zero level set of a field in the domain and a little outside it, with distances.
 
     Parameters
     ----------
@@ -67,30 +103,30 @@ def extract_surface(
     band
         Half width in which exact distances to the surface are wanted, unit-cube units.
     shell
-        Distance from the envelope, on both sides, up to which exact distances to the envelope are wanted.
+        How far inside the envelope exact distances to the envelope are wanted, but for two voxels.
     outside
-        How far outside the envelope exact distances to the surface are wanted, but for two voxels; default ``shell``.
+        How far outside the envelope exact distances to it and to the surface are wanted, but for two voxels; default
+        ``shell``.
 
     Raises
     ------
     EmptySurface
-        If the field has one sign in the whole domain.
+        If the field has one sign in and near the domain.
     """
-    wanted = (shell if outside is None else outside) + 3 * grid.spacing
-    farthest = wanted + band + 0.5 * grid.spacing
-    depth = domain.depth(grid, max(farthest + 0.5 * grid.spacing, shell + 4 * grid.spacing))
+    outside = shell if outside is None else outside
+    wanted = outside + 3 * grid.spacing
+    depth = domain.depth(grid, max(shell + 2 * grid.spacing, wanted + 1.5 * grid.spacing))
     # What lies further out is nobody's: a domain that bends fills half of its box.
-    whole = level_set(np.where(depth > -farthest, values, -np.abs(values).max()), grid)
+    farthest = (wanted + band) / grid.spacing + 1.5
+    # Marching cubes closes the level set at the rim of the grid: keep that rim as far out.
+    low, high = domain.bounds
+    last = grid.origin + grid.spacing * (np.array(grid.shape) - 1)
+    more = max(ceil(farthest - float(min((low - grid.origin).min(), (last - high).min())) / grid.spacing), 0)
+    near = edt.edt(np.pad(depth <= 0, more, constant_values=True), parallel=0) < farthest
+    whole = level_set(np.where(near, np.pad(values, more, mode="edge"), -np.abs(values).max()), grid.padded(more))
     if len(whole.faces) == 0:
         raise _empty()
-    nearest = Nearest(whole)
-    distance = signed_distance(nearest, values, grid, band, depth > -wanted)
-    hot = Solid.of(whole)
-    clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
-    part = clipped.part(origin == hot.origin)
-    if len(part.faces) == 0:
-        raise _empty()
-    return Surface(to_metres(domain, part), nearest, distance, depth, grid, band)
+    return Sheet(Nearest(whole), signed_distance(whole, values, grid, band), depth, grid, band)
 
 
 def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
@@ -126,22 +162,10 @@ def level_set(values: Values, grid: Grid, level: float = 0.0) -> TriangleMesh:
     return TriangleMesh(grid.origin + grid.spacing * vertices.astype(np.float64), faces.astype(np.int64))
 
 
-def signed_distance(nearest: Nearest, values: Values, grid: Grid, band: float, wanted: NDArray[np.bool_]) -> Values:
-    """Exact distance to a surface on a grid, signed by ``values`` and clipped to ±band.
-
-    Computed only at ``wanted`` voxels that may lie within the band; elsewhere it is ±band.
-    """
-    positive = values > 0
-    near = np.zeros(grid.shape, dtype=bool)
-    for axis in range(3):
-        change = np.diff(positive, axis=axis)
-        near |= np.pad(change, [(0, 1) if k == axis else (0, 0) for k in range(3)])
-        near |= np.pad(change, [(1, 0) if k == axis else (0, 0) for k in range(3)])
-    reach = wanted & (edt.edt(~near, parallel=0) <= band / grid.spacing + 1.0)
-    distance = np.where(positive, band, -band).astype(np.float32)
-    exact = np.minimum(nearest.distance(grid.points(reach)), band)
-    distance[reach] = np.where(positive[reach], exact, -exact)
-    return distance
+def signed_distance(mesh: TriangleMesh, values: Values, grid: Grid, band: float) -> Values:
+    """Exact distance to a level set's mesh on a grid, signed by ``values`` and clipped to ±band."""
+    distance = band_distance(mesh, grid, band)
+    return np.where(values > 0, distance, -distance).astype(np.float32)
 
 
 def to_metres(domain: Domain, mesh: TriangleMesh) -> TriangleMesh:

@@ -42,7 +42,8 @@ class TriangleMesh:
     @property
     def centroids(self) -> Array:
         """(F, 3) middles of the triangles."""
-        return np.asarray(self.vertices[self.faces].mean(axis=1))
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.asarray((a + b + c) / 3)
 
     @property
     def area(self) -> float:
@@ -64,6 +65,16 @@ class TriangleMesh:
         start, end = self.faces.ravel(), np.roll(self.faces, -1, axis=1).ravel()
         forward, backward = np.sort(start * n + end), np.sort(end * n + start)
         return len(forward) > 0 and bool((forward == backward).all() and (np.diff(forward) > 0).all())
+
+    @property
+    def border(self) -> NDArray[np.int64]:
+        """(E, 2) edges that only one triangle has."""
+        n = np.int64(len(self.vertices))
+        ends = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        keys = np.sort(ends[:, 0] * n + ends[:, 1])
+        new = np.concatenate([[True], keys[1:] != keys[:-1], [True]])
+        alone = keys[new[:-1] & new[1:]]
+        return np.stack([alone // n, alone % n], axis=1)
 
     def shell_volumes(self) -> Array:
         """(S,) enclosed volumes of the connected parts of a closed mesh; negative for those that bound a cavity."""

@@ -16,6 +16,7 @@ import sys
 import tarfile
 import threading
 import time
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -59,6 +60,8 @@ def _outcome(job: dict[str, Any], channel: _Channel, cancel: threading.Event) ->
         return {"cancelled": True}
     except _PipelineFailed as failed:
         return {"failure": failed.failure.as_json()}
+    except BrokenProcessPool:  # killed from outside, as this one could have been
+        return {"away": "a process that it had started was ended"}
     except MissingBlob as error:
         return {"missing": str(error.args[0])}
     except StoreFull as error:
@@ -86,7 +89,7 @@ def _run(job: dict[str, Any], folder: Path, domain_file: Path, progress: _Progre
         missing = [name for name in (*ARTIFACTS[job["step"]], *INTERNAL[job["step"]]) if not (folder / name).exists()]
         if missing:
             raise RuntimeError(f"the step left no {missing}")
-    except Cancelled:
+    except (Cancelled, BrokenProcessPool):
         raise
     except Exception as error:
         raise _PipelineFailed(failure_of(error)) from error

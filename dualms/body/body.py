@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dualms.beside import Here
 from dualms.body.budget import simplified
 from dualms.body.header import LIFT_VOXELS, Header
 from dualms.body.openings import core
 from dualms.body.outline import Outline, outline_of
 from dualms.body.patches import INTERFACE, patch_names, patch_of_faces
 from dualms.body.thickness import Wall, least, thickness_at
-from dualms.body.walls import channels
+from dualms.body.walls import channel
 from dualms.body.written import as_written
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import ChannelBlocked, InvalidBody
 from dualms.spec.body import MAX_FACES
-from dualms.surface import Surface, level_set
+from dualms.surface import Sheet, level_set
 from dualms.triangles import TriangleMesh
 
 NEGLIGIBLE = 1e-3  # of the domain's volume: what may be filled in or dropped without being an error
@@ -90,15 +92,65 @@ class Body:
     crossing: int
 
 
+@dataclass(frozen=True)
+class _Side:
+    """What one fluid takes from a body, unit-cube frame.
+
+    Parameters
+    ----------
+    room, facing
+        Where the fluid is, reaching beyond the body's outline at its openings; and what its faces (F,) are towards: 0
+        the other fluid, 1 the shell.
+    part, pockets
+        What of it lies in the outline: the part that joins the fluid's ports, and what is left to the solid.
+    fluid
+        The part, as files will hold it.
+    """
+
+    room: TriangleMesh
+    facing: NDArray[np.int64]
+    part: TriangleMesh
+    pockets: tuple[TriangleMesh, ...]
+    fluid: Fluid
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """What a body is made from: the arguments of :func:`make_body`."""
+
+    domain: Domain
+    sheet: Sheet
+    wall: Wall
+    shell: float
+    outside: bool
+    headers: tuple[Header, ...]
+    unit_m: float
+    max_faces: int
+
+    def outline(self) -> Outline:
+        envelope = Solid.of(TriangleMesh(self.domain.vertices, self.domain.faces))
+        return outline_of(self.domain, self.sheet, envelope, self.shell if self.outside else 0.0, self.headers)
+
+    def side(self, sign: int, outline: Outline) -> _Side:
+        reach = (self.shell if self.outside else 0.0) + 2 * self.sheet.grid.spacing
+        side = simplified(channel(self.sheet, self.wall, reach, sign), least(self.wall) / 2, self.max_faces // 2)
+        made = _room(self.domain, self.sheet, side, self.shell, sign, self.outside, outline)
+        room, origin = made.faces_by_origin()
+        facing = (origin != side.origin).astype(np.int64)
+        part, pockets, fluid = _fluid(self.domain, Solid.of_parts(room, facing), outline, sign, self.shell, self.unit_m)
+        return _Side(room, facing, part.mesh(), tuple(pocket.mesh() for pocket in pockets), fluid)
+
+
 def make_body(
     domain: Domain,
-    surface: Surface,
+    sheet: Sheet,
     wall: Wall,
     shell: float,
     outside: bool = False,
     headers: tuple[Header, ...] = (),
     unit_m: float = 1.0,
     max_faces: int = MAX_FACES,
+    beside: Executor | None = None,
 ) -> Body:
     """Cut the two sides of the wall out of the envelope.
 
@@ -106,7 +158,7 @@ def make_body(
     ----------
     domain
         The envelope and its ports.
-    surface
+    sheet
         The separating surface, with distances to it and, as far as the shell, to the envelope.
     wall, shell
         Thicknesses, unit-cube units; a shell of 0 is none.
@@ -118,6 +170,8 @@ def make_body(
         Metres of the unit that files will be in: coordinates in it are exact in single precision.
     max_faces
         Triangles that the solid should have at most. It has more where the wall's thickness needs them.
+    beside
+        Where the cold side is made, while this process makes the hot one.
 
     Raises
     ------
@@ -128,53 +182,62 @@ def make_body(
     InvalidSpec
         If a header touches what it must not.
     """
-    envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
-    outline = outline_of(domain, surface, envelope, shell if outside else 0.0, headers)
-    made: dict[int, tuple[Solid, Fluid]] = {}
-    side_of: dict[int, int] = {}
-    block = outline.solid
-    reach = (shell if outside else 0.0) + 2 * surface.grid.spacing
-    sides = simplified(channels(surface, wall, reach), least(wall) / 2, max_faces)
-    for sign, side in zip((1, -1), sides, strict=True):
-        room = _room(domain, surface, side, shell, sign, outside, outline)
-        part, pockets, fluid, origins = _fluid(domain, room, side.origin, outline, sign, shell, unit_m)
-        side_of |= dict.fromkeys(origins, sign)
-        made[sign] = part, fluid
-        # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
-        block = block - room
-        for pocket in pockets:
-            block = block | pocket
-    (hot_solid, hot), (cold_solid, cold) = made[1], made[-1]
+    beside = beside or Here()
+    recipe = _Recipe(domain, sheet, wall, shell, outside, headers, unit_m, max_faces)
+    beyond = beside.submit(_side, recipe, -1)
+    outline = recipe.outline()
+    hot = recipe.side(1, outline)
+    cold = beyond.result()
+    leak = beside.submit(_common, hot.part, cold.part)
+    hot_room, cold_room = (Solid.of_parts(side.room, side.facing) for side in (hot, cold))
+    # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
+    block = outline.solid - hot_room - cold_room
+    for pocket in (*hot.pockets, *cold.pockets):
+        block = block | Solid.of(pocket)
     parts = block.bodies()
     if not parts:
         raise InvalidBody("No solid is left.", advice="Make the wall or the shell thicker.")
     dropped = sum(part.volume for part in parts[1:])
-    if dropped > NEGLIGIBLE * envelope.volume:
+    if dropped > NEGLIGIBLE * domain.volume:
         raise InvalidBody(
-            f"The solid falls into {len(parts)} parts; {100 * dropped / envelope.volume:.2g} % of the domain is not "
+            f"The solid falls into {len(parts)} parts; {100 * dropped / domain.volume:.2g} % of the domain is not "
             "joined to the largest.",
             advice="Give the body a shell, or make the wall thicker.",
-            measured={"parts": len(parts), "loose_fraction": dropped / envelope.volume},
+            measured={"parts": len(parts), "loose_fraction": dropped / domain.volume},
         )
     cubic = domain.scale_m**3
     solid, origin, crossing = _written(domain, parts[0], unit_m)
     return Body(
         solid=solid,
-        solid_side=np.array([side_of.get(o, 0) for o in range(origin.max() + 1)])[origin],
-        hot=hot,
-        cold=cold,
-        wall_m=_mean_wall(domain, wall, hot),
+        solid_side=_of(hot_room, origin).astype(np.int64) - _of(cold_room, origin),
+        hot=hot.fluid,
+        cold=cold.fluid,
+        wall_m=_mean_wall(domain, wall, hot.fluid),
         shell_m=shell * domain.scale_m,
         outline_m3=outline.solid.volume * cubic,
         dropped_m3=dropped * cubic,
-        leak_m3=(hot_solid & cold_solid).volume * cubic,
+        leak_m3=leak.result() * cubic,
         crossing=crossing,
     )
 
 
+def _side(recipe: _Recipe, sign: int) -> _Side:
+    return recipe.side(sign, recipe.outline())
+
+
+def _of(room: Solid, origin: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which faces (F,) come from either part of a room."""
+    return np.asarray((origin == room.origin) | (origin == room.origin + 1))
+
+
+def _common(one: TriangleMesh, two: TriangleMesh) -> float:
+    """Volume that two closed bodies have in common."""
+    return (Solid.of(one) & Solid.of(two)).volume
+
+
 def _room(
     domain: Domain,
-    surface: Surface,
+    sheet: Sheet,
     side: Solid,
     shell: float,
     sign: int,
@@ -185,12 +248,12 @@ def _room(
     if not shell:
         return side
     own = {k: bore for k, bore in outline.bores.items() if domain.ports[k].fluid == sign}
-    free = core(domain, surface, shell, sign, outside, frozenset(own))
+    free = core(domain, sheet, shell, sign, outside, frozenset(own))
     if not own:
         return side & free
     # Up to just above the skin the fluid keeps to its side of the wall; above, the bores are wholly its own.
-    lift = (shell if outside else 0.0) + LIFT_VOXELS * surface.grid.spacing
-    below = Solid.of(level_set(surface.depth + np.float32(lift), surface.grid))
+    lift = (shell if outside else 0.0) + LIFT_VOXELS * sheet.grid.spacing
+    below = Solid.of(level_set(sheet.depth + np.float32(lift), sheet.grid))
     for bore in own.values():
         free = free | bore
     return free - (below - side)
@@ -204,19 +267,21 @@ def _mean_wall(domain: Domain, wall: Wall, fluid: Fluid) -> float:
 
 
 def _fluid(
-    domain: Domain, room: Solid, interface: int, outline: Outline, sign: int, shell: float, unit_m: float
-) -> tuple[Solid, list[Solid], Fluid, list[int]]:
-    """The part of a fluid that joins its ports, the pockets to fill in, the part's mesh, and what cut it."""
+    domain: Domain, room: Solid, outline: Outline, sign: int, shell: float, unit_m: float
+) -> tuple[Solid, list[Solid], Fluid]:
+    """The part of a fluid that joins its ports, the pockets to fill in, and the part as files will hold it.
+
+    The first origin of ``room`` is the interface.
+    """
     name = "hot" if sign == 1 else "cold"
     indices = [k for k, port in enumerate(domain.ports) if port.fluid == sign]
     ports = [domain.ports[k] for k in indices]
     pipes = {outline.pipes[k].origin: at for at, k in enumerate(indices) if k in outline.pipes}
-    outer = {outline.skin, *pipes}
     cut = room & outline.solid
     parts = cut.bodies()
     best: tuple[set[int], Solid] | None = None
     for part in parts[:8]:  # by falling volume
-        patch = patch_of_faces(*part.faces_by_origin(), interface, outline.skin, pipes, ports, shell)
+        patch = patch_of_faces(*part.faces_by_origin(), room.origin, outline.skin, pipes, ports, shell)
         reached = set((np.unique(patch[patch >= 2]) - 2).tolist())
         if best is None or len(reached) > len(best[0]):
             best = (reached, part)
@@ -243,14 +308,13 @@ def _fluid(
     filled = cut.volume - part.volume
     fluid = Fluid(
         mesh=mesh,
-        patch=patch_of_faces(in_unit_cube, origin, interface, outline.skin, pipes, ports, shell),
+        patch=patch_of_faces(in_unit_cube, origin, room.origin, outline.skin, pipes, ports, shell),
         patches=patch_names(ports),
         components=int((mesh.shell_volumes() > 0).sum()),
         filled_m3=filled * domain.scale_m**3,
         crossing=crossing,
     )
-    origins = sorted(set(np.unique(origin).tolist()) - outer)
-    return part, [pocket for pocket in parts if pocket is not part], fluid, origins
+    return part, [pocket for pocket in parts if pocket is not part], fluid
 
 
 def _written(domain: Domain, solid: Solid, unit_m: float) -> tuple[TriangleMesh, NDArray[np.int64], int]:

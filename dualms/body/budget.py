@@ -14,26 +14,26 @@ Beyond the last the thickness would leave 3 % of the asked (decision note 0012).
 """
 
 
-def simplified(sides: tuple[Solid, Solid], half: float, faces: int) -> tuple[Solid, Solid]:
-    """The two sides of the wall with fewer triangles.
+def simplified(side: Solid, half: float, faces: int) -> Solid:
+    """A side of the wall with fewer triangles.
 
     Parameters
     ----------
-    sides
+    side
         Not yet cut to the domain.
     half
         Half of the least thickness of the wall, unit-cube units.
     faces
-        How many triangles the solid may have. Those of both sides, which reach a little beyond the envelope, stand for
-        its.
+        How many triangles it may have. A side, which reaches a little beyond the envelope, stands for its half of the
+        solid.
 
     Returns
     -------
-    tuple
+    Solid
         Simplified as little as the budget allows; where it cannot be kept, as far as the wall's thickness allows.
     """
     for share in TOLERANCES:
-        one, two = (side.simplified(share * half) for side in sides)
-        if one.faces + two.faces <= faces:
+        fewer = side.simplified(share * half)
+        if fewer.faces <= faces:
             break
-    return one, two
+    return fewer

@@ -48,8 +48,9 @@ def single_precision(mesh: TriangleMesh) -> TriangleMesh:
     places = np.rint(mesh.vertices / step).astype(np.int64)
     aside = np.random.default_rng(0)  # the same for the same mesh
     while True:
-        _, first = np.unique(places, axis=0, return_index=True)
-        taken = np.setdiff1d(np.arange(len(places)), first)
+        order = np.lexsort(places.T)
+        again = (places[order[1:]] == places[order[:-1]]).all(axis=1)
+        taken = np.sort(order[1:][again])
         if len(taken) == 0:
             return TriangleMesh(np.asarray(places * step, dtype=np.float64), mesh.faces)
         places[taken] += aside.integers(-2, 3, (len(taken), 3))

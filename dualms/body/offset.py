@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dualms.intersections import crossing_triangles
 from dualms.nearest import Nearest
-from dualms.surface import Surface
+from dualms.surface import Sheet
 from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class _Moved:
 
 def at_distance(
     level: TriangleMesh,
-    sheet: Nearest,
+    nearest: Nearest,
     distance: Callable[[Array], Array],
     spacing: float,
 ) -> TriangleMesh:
@@ -62,19 +62,19 @@ def at_distance(
     ----------
     level
         Mesh near the wanted distance, from marching cubes.
-    sheet
-        The surface that distances are from.
+    nearest
+        Of the surface that distances are from.
     distance
         Wanted distance (P,) at points (P, 3).
     spacing
         Edge of a voxel.
     """
-    return _unfolded(_moved(level.vertices, level.faces, sheet, distance, spacing))
+    return _unfolded(_moved(level.vertices, level.faces, nearest, distance, spacing))
 
 
 def offset_surface(
     level: TriangleMesh,
-    surface: Surface,
+    sheet: Sheet,
     distance: Callable[[Array], Array],
     sag: float,
     deepest: float,
@@ -85,7 +85,7 @@ def offset_surface(
     ----------
     level
         Mesh near the wanted distance, from marching cubes.
-    surface
+    sheet
         The separating surface.
     distance
         Wanted distance (P,) at points (P, 3).
@@ -98,33 +98,35 @@ def offset_surface(
     -----
     The sag of an edge from a to b, with unit normals m and n at its ends, is (b - a)·(n - m)/8 to second order.
     """
-    spacing = surface.grid.spacing
-    moved = _moved(level.vertices, level.faces, surface.nearest, distance, spacing)
+    spacing = sheet.grid.spacing
+    moved = _moved(level.vertices, level.faces, sheet.nearest, distance, spacing)
     for _ in range(ROUNDS):
         edges, of_face = _edges(moved.faces, len(moved.vertices))
-        middle = moved.vertices[edges].mean(axis=1)
+        middle, off, bent = _sags(moved.vertices, moved.normals, edges)
         wanted = distance(middle)
-        off = _sags(moved, edges, middle, wanted, surface, spacing)
-        split = (np.abs(off) > sag * wanted) & (surface.grid.sample(surface.depth, middle) > -deepest)
+        found = sheet.nearest.distance(middle[bent]) - wanted[bent]
+        off[bent] = np.where(np.abs(found) < spacing, found, 0.0)
+        split = np.abs(off) > sag * wanted
+        split[split] = sheet.grid.sample(sheet.depth, middle[split]) > -deepest
         if split.mean() < FEW:
             break
-        moved = _split(moved, edges, of_face, split, surface, distance)
+        moved = _split(moved, edges, of_face, split, sheet, distance)
     return _unfolded(moved)
 
 
 def _moved(
     base: Array,
     faces: Faces,
-    sheet: Nearest,
+    nearest: Nearest,
     distance: Callable[[Array], Array],
     spacing: float,
     facing: Array | None = None,
 ) -> _Moved:
-    """Points moved to the distance; ``facing`` (V, 3) says on which side of the sheet, where they may have got across.
+    """Points moved to the distance; ``facing`` (V, 3) says on which side, where they may have got across the surface.
 
     The middle of an edge does where a thin wall bends by more than its thickness between two vertices.
     """
-    (found, foot), wanted = sheet.foot(base), distance(base)
+    (found, foot), wanted = nearest.foot(base), distance(base)
     away = found > 0.1 * wanted
     normals = (base - foot) / np.where(away, found, 1.0)[:, None]
     if facing is not None:
@@ -166,16 +168,26 @@ def _edges(faces: Faces, count: int) -> tuple[Faces, Faces]:
     return edges[:made].copy(), of_face
 
 
-def _sags(moved: _Moved, edges: Faces, middle: Array, wanted: Array, surface: Surface, spacing: float) -> Array:
-    """(E,) how far the middles of edges lie off the wanted distance; zero where an end was not moved."""
-    m, n = moved.normals[edges[:, 0]], moved.normals[edges[:, 1]]
-    along = moved.vertices[edges[:, 1]] - moved.vertices[edges[:, 0]]
-    off = np.einsum("ij,ij->i", along, n - m) / 8
-    cosine = np.einsum("ij,ij->i", m, n)
-    bent = np.flatnonzero((cosine < SMOOTH_COSINE) & (m.any(axis=1) | n.any(axis=1)))
-    found = surface.nearest.distance(middle[bent]) - wanted[bent]
-    off[bent] = np.where(np.abs(found) < spacing, found, 0.0)
-    return np.asarray(off)
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _sags(vertices: Array, normals: Array, edges: Faces) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """(E, 3) middles of edges, (E,) estimates of how far they lie off the wanted distance, (E,) which to measure.
+
+    An edge whose ends were both not moved lies right.
+    """
+    count = len(edges)
+    middle, off, bent = np.empty((count, 3)), np.zeros(count), np.zeros(count, dtype=np.bool_)
+    for e in range(count):
+        a, b = edges[e]
+        cosine = 0.0
+        moved = False
+        for k in range(3):
+            m, n = normals[a, k], normals[b, k]
+            middle[e, k] = 0.5 * (vertices[a, k] + vertices[b, k])
+            off[e] += (vertices[b, k] - vertices[a, k]) * (n - m) / 8
+            cosine += m * n
+            moved = moved or m != 0 or n != 0
+        bent[e] = moved and cosine < SMOOTH_COSINE
+    return middle, off, bent
 
 
 def _split(
@@ -183,16 +195,16 @@ def _split(
     edges: Faces,
     of_face: Faces,
     split: NDArray[np.bool_],
-    surface: Surface,
+    sheet: Sheet,
     distance: Callable[[Array], Array],
 ) -> _Moved:
     """New vertices in the middles of edges, and each triangle cut into two, three or four accordingly."""
     middles = np.full(len(edges), -1)
     middles[split] = len(moved.base) + np.arange(int(split.sum()))
-    base = moved.base[edges[split]].mean(axis=1)
-    start = moved.vertices[edges[split]].mean(axis=1)
-    facing = moved.normals[edges[split]].sum(axis=1)
-    new = _moved(start, moved.faces, surface.nearest, distance, surface.grid.spacing, facing)
+    a, b = edges[split].T
+    base, start = (0.5 * (points[a] + points[b]) for points in (moved.base, moved.vertices))
+    facing = moved.normals[a] + moved.normals[b]
+    new = _moved(start, moved.faces, sheet.nearest, distance, sheet.grid.spacing, facing)
     vertices = np.concatenate([moved.vertices, new.vertices])
     faces = _subdivided(moved.faces, middles[of_face], vertices)
     return _Moved(vertices, np.concatenate([moved.base, base]), np.concatenate([moved.normals, new.normals]), faces)

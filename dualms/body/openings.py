@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -11,20 +10,23 @@ from scipy.sparse.csgraph import connected_components
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import WallTooThick
+from dualms.grid import Grid
+from dualms.narrow_band import band_distance
 from dualms.ports import SAME_SIDE, Port
-from dualms.surface import Surface, level_set
+from dualms.surface import Sheet, level_set
 from dualms.triangles import TriangleMesh
 
 Values = NDArray[np.float32]
 SMOOTH = np.cos(np.radians(30))  # neighbours that turn by less belong to the same face of the envelope
 CLEARANCE_VOXELS = 0.1  # between an opening and the bore of a header that it leads into
 TOLERANCE_VOXELS = 0.05  # of the core's faces: where the shell is flat, a few large ones do
+MARGIN_VOXELS = 1.5  # further from where an opening ends its distance does not matter
 OVERLAP_VOXELS = 1.5  # how far above the skin such an opening ends; the bore starts at one voxel
 
 
 def core(
     domain: Domain,
-    surface: Surface,
+    sheet: Sheet,
     shell: float,
     fluid: int,
     outside: bool = False,
@@ -39,7 +41,7 @@ def core(
     ----------
     domain
         The envelope and its ports.
-    surface
+    sheet
         Holds the depth below the envelope, exact for ``shell`` and two voxels more on both sides.
     shell
         Thickness, unit-cube units.
@@ -60,8 +62,8 @@ def core(
     WallTooThick
         If a shell inside fills the domain.
     """
-    grid = surface.grid
-    free = np.full(grid.shape, -1, dtype=np.float32) if outside else surface.depth - np.float32(shell)
+    grid = sheet.grid
+    free = np.full(grid.shape, -1, dtype=np.float32) if outside else sheet.depth - np.float32(shell)
     if not outside and not (free > 0).any():
         raise WallTooThick(
             f"A shell of {shell:.3g} of the domain's longest side fills the domain.",
@@ -70,37 +72,39 @@ def core(
         )
     for index, port in enumerate(domain.ports):
         if port.fluid == fluid:
-            _open(domain, port, free, surface, shell, outside, index in piped)
+            _open(domain, port, free, sheet, shell, outside, index in piped)
     opened = Solid.of(level_set(free, grid)).simplified(TOLERANCE_VOXELS * grid.spacing)
     # A body of its own for each fluid, so that faces tell which fluid they were cut for.
     return Solid.of(TriangleMesh(domain.vertices, domain.faces)) | opened if outside else opened
 
 
-def _open(domain: Domain, port: Port, free: Values, surface: Surface, shell: float, outside: bool, piped: bool) -> None:
-    """Raise ``free`` to the opening of one port, in place."""
-    grid = surface.grid
-    reach = shell + 2 * grid.spacing
+def _open(domain: Domain, port: Port, free: Values, sheet: Sheet, shell: float, outside: bool, piped: bool) -> None:
+    """Raise ``free`` to the opening of one port, in place; exact next to where either changes its sign."""
+    grid = sheet.grid
+    reach, margin = shell + 2 * grid.spacing, MARGIN_VOXELS * grid.spacing
     low = np.maximum(grid.nearest((port.samples.min(axis=0) - reach)[None])[0], 0)
     high = grid.nearest((port.samples.max(axis=0) + reach)[None])[0] + 1
     box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    local = np.stack(np.meshgrid(*(axis[s] for axis, s in zip(grid.axes(), box, strict=True)), indexing="ij"), axis=-1)
-    points = local.reshape(-1, 3)
-    squared, _, _ = igl.point_mesh_squared_distance(points, domain.vertices, domain.faces[port.triangles])
-    opening = np.minimum(port.lateral(points), reach - np.sqrt(squared))
+    nx, ny, nz = high - low
+    local = Grid(grid.origin + grid.spacing * low, grid.spacing, (nx, ny, nz))
+    above = band_distance(TriangleMesh(domain.vertices, domain.faces[port.triangles]), local, reach + margin)
+    near = above < reach + margin
+    points, above = local.points(near), above[near]
+    opening = np.minimum(port.lateral(points), reach - above)
     others = domain.faces[~_face_of(domain, port)]
     if len(others):
-        beside, _, _ = igl.point_mesh_squared_distance(points, domain.vertices, others)
+        beside = band_distance(TriangleMesh(domain.vertices, others), local, reach + 2 * margin)[near]
         if outside:
             # Over a face, the root of the difference is the way to its rim; beyond the rim it is zero.
-            opening = np.minimum(opening, np.sqrt(np.maximum(beside - squared, 0)) - grid.spacing)
+            opening = np.minimum(opening, np.sqrt(np.maximum(beside**2 - above**2, 0)) - grid.spacing)
         else:
-            opening = np.minimum(opening, np.sqrt(beside) - shell)
+            opening = np.minimum(opening, beside - shell)
     if piped:
         skin = shell if outside else 0.0
         # Within the bore, whose outline it would otherwise meet face to face, and not far into it.
         opening = np.minimum(opening, port.lateral(points) - CLEARANCE_VOXELS * grid.spacing)
-        opening = np.minimum(opening, surface.depth[box].ravel() + skin + OVERLAP_VOXELS * grid.spacing)
-    free[box] = np.maximum(free[box], opening.reshape(local.shape[:3]).astype(np.float32))
+        opening = np.minimum(opening, sheet.depth[box][near] + skin + OVERLAP_VOXELS * grid.spacing)
+    free[box][near] = np.maximum(free[box][near], opening.astype(np.float32))
 
 
 def _face_of(domain: Domain, port: Port) -> NDArray[np.bool_]:

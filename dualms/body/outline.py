@@ -12,7 +12,7 @@ from dualms.body.offset import at_distance
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.nearest import Nearest
-from dualms.surface import Surface, level_set
+from dualms.surface import Sheet, level_set
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Outline:
     bores: dict[int, Solid]
 
 
-def outline_of(domain: Domain, surface: Surface, envelope: Solid, skin: float, headers: tuple[Header, ...]) -> Outline:
+def outline_of(domain: Domain, sheet: Sheet, envelope: Solid, skin: float, headers: tuple[Header, ...]) -> Outline:
     """The envelope with a skin of a thickness (unit-cube units) outside it, and the pipes of the headers.
 
     Raises
@@ -45,15 +45,13 @@ def outline_of(domain: Domain, surface: Surface, envelope: Solid, skin: float, h
     """
     body = envelope
     if skin:
-        grown = level_set(surface.depth + np.float32(skin), surface.grid)
+        grown = level_set(sheet.depth + np.float32(skin), sheet.grid)
         body = Solid.of(
-            at_distance(
-                grown, Nearest(envelope.mesh()), lambda points: np.full(len(points), skin), surface.grid.spacing
-            )
+            at_distance(grown, Nearest(envelope.mesh()), lambda points: np.full(len(points), skin), sheet.grid.spacing)
         )
-    refuse_collisions(domain, headers, body, surface.grid, skin)
-    pipes = {h.port: h.pipe(surface.grid, skin) for h in headers}
-    bores = {h.port: h.bore(surface.grid, skin) for h in headers}
+    refuse_collisions(domain, headers, body, sheet.grid, skin)
+    pipes = {h.port: h.pipe(sheet.grid, skin) for h in headers}
+    bores = {h.port: h.bore(sheet.grid, skin) for h in headers}
     solid = body
     for pipe in pipes.values():
         solid = solid | pipe

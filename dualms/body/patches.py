@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dualms.boundary import SAMPLES_ACROSS
+from dualms.grid import thinned
 from dualms.ports import Port
 from dualms.triangles import TriangleMesh
 
@@ -57,8 +58,9 @@ def patch_of_faces(
     if len(outer) == 0 or not bare:
         return patch
     middle = mesh.centroids[outer]
-    gaps = np.stack([cKDTree(ports[k].samples).query(middle)[0] for k in bare])
+    step = 1.0 / SAMPLES_ACROSS
+    gaps = np.stack([cKDTree(thinned(ports[k].samples, step / 2)).query(middle)[0] for k in bare])
     nearest = np.array(bare)[gaps.argmin(axis=0)]
-    reach = np.inf if shell else 2.0 / SAMPLES_ACROSS
+    reach = np.inf if shell else 2 * step
     patch[outer] = np.where(gaps.min(axis=0) <= reach, 2 + nearest, WALL)
     return patch

@@ -15,7 +15,7 @@ from dualms.domain import Domain
 from dualms.errors import WallTooThick
 from dualms.grid import Grid
 from dualms.spec import Unit, WallGraded, WallSpec, WallThickness
-from dualms.surface import Surface, extract_surface, level_set
+from dualms.surface import Sheet, extract_sheet, level_set
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -77,60 +77,63 @@ def _half_of_share(
 ) -> float | None:
     """Half the thickness of a wall that takes a share of the domain on a grid; None if that is more than ``most``."""
     grid = domain.grid(resolution, padding=4)
-    surface = extract_surface(domain, field(grid), grid, most + BAND_VOXELS * grid.spacing)
-    if wall_share(surface, most) < share:
+    sheet = extract_sheet(domain, field(grid), grid, most + BAND_VOXELS * grid.spacing)
+    if wall_share(sheet, most) < share:
         return None
-    return float(brentq(lambda half: wall_share(surface, half) - share, 0.0, most, xtol=1e-6))
+    return float(brentq(lambda half: wall_share(sheet, half) - share, 0.0, most, xtol=1e-6))
 
 
-def wall_share(surface: Surface, half: float | Values) -> float:
+def wall_share(sheet: Sheet, half: float | Values) -> float:
     """Share of the domain within ``half`` (unit-cube units) of the surface; cut voxels count by their part.
 
-    ``half`` may hold a value for every voxel of the surface's grid.
+    ``half`` may hold a value for every voxel of the sheet's grid.
     """
-    spacing = surface.grid.spacing
-    voxels = surface.depth > -spacing
-    inside = np.clip(surface.depth[voxels] / spacing + 0.5, 0, 1)
+    spacing = sheet.grid.spacing
+    voxels = sheet.depth > -spacing
+    inside = np.clip(sheet.depth[voxels] / spacing + 0.5, 0, 1)
     reach = np.broadcast_to(half, voxels.shape)[voxels]
     # Where both sides of a thin wall lie in one voxel, the voxel holds at most the wall's own thickness.
-    walled = np.clip(
-        (reach - np.abs(surface.distance[voxels])) / spacing + 0.5, 0, np.minimum(1.0, 2 * reach / spacing)
-    )
+    walled = np.clip((reach - np.abs(sheet.distance[voxels])) / spacing + 0.5, 0, np.minimum(1.0, 2 * reach / spacing))
     return float((inside * walled).sum() / inside.sum())
 
 
-def channels(surface: Surface, wall: Wall, reach: float) -> tuple[Solid, Solid]:
-    """The two sides of the wall, not yet cut to the domain: hot and cold.
+def channel(sheet: Sheet, wall: Wall, reach: float, sign: int) -> Solid:
+    """One side of the wall, not yet cut to the domain.
 
     Parameters
     ----------
-    surface
+    sheet
         Distance to the separating surface, exact beyond half the greatest thickness by two voxels.
     wall
         Thickness, unit-cube units.
     reach
-        How far outside the envelope the sides are wanted exact.
+        How far outside the envelope the side is wanted exact.
+    sign
+        1 hot, -1 cold.
+
+    Raises
+    ------
+    WallTooThick
+        If the wall leaves no room for the fluid.
     """
-    half = half_on_grid(surface, wall)
-    # Beyond the reach they end: what is cut off later need not be made.
-    near = surface.depth + np.float32(reach + surface.grid.spacing)
-    sides = []
-    for name, sign in (("hot", 1), ("cold", -1)):
-        beyond = sign * surface.distance - np.float32(half)
-        side = level_set(np.where(near > 0, beyond, np.minimum(beyond, near)), surface.grid)
-        if len(side.faces) == 0:
-            raise WallTooThick(
-                f"A wall of {2 * np.max(half):.3g} of the domain's longest side leaves no room for the {name} fluid.",
-                advice="Make the wall thinner or use fewer sites.",
-                measured={"wall_over_longest_side": float(2 * np.max(half))},
-            )
-        sides.append(Solid.of(offset_surface(side, surface, lambda p: thickness_at(wall, p) / 2, SAG, reach)))
-    return sides[0], sides[1]
+    half = half_on_grid(sheet, wall)
+    # Beyond the reach it ends: what is cut off later need not be made.
+    near = sheet.depth + np.float32(reach + sheet.grid.spacing)
+    beyond = sign * sheet.distance - np.float32(half)
+    side = level_set(np.where(near > 0, beyond, np.minimum(beyond, near)), sheet.grid)
+    if len(side.faces) == 0:
+        name = "hot" if sign == 1 else "cold"
+        raise WallTooThick(
+            f"A wall of {2 * np.max(half):.3g} of the domain's longest side leaves no room for the {name} fluid.",
+            advice="Make the wall thinner or use fewer sites.",
+            measured={"wall_over_longest_side": float(2 * np.max(half))},
+        )
+    return Solid.of(offset_surface(side, sheet, lambda p: thickness_at(wall, p) / 2, SAG, reach))
 
 
-def half_on_grid(surface: Surface, wall: Wall) -> float | Values:
-    """Half the thickness: one value, or one for every voxel of the surface's grid."""
+def half_on_grid(sheet: Sheet, wall: Wall) -> float | Values:
+    """Half the thickness: one value, or one for every voxel of the sheet's grid."""
     if isinstance(wall, GradedWall):
-        values = (wall.at(surface.grid.points()) / 2).astype(np.float32)
-        return np.asarray(values.reshape(surface.grid.shape))
+        values = (wall.at(sheet.grid.points()) / 2).astype(np.float32)
+        return np.asarray(values.reshape(sheet.grid.shape))
     return wall / 2

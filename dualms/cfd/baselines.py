@@ -11,7 +11,6 @@ from dualms.body.header import Header
 from dualms.cfd.channels import VoxelExchanger, solid_share, voxelise
 from dualms.domain import Domain
 from dualms.grid import Grid
-from dualms.nearest import Nearest
 from dualms.surface import level_set, signed_distance
 from dualms.tpms import AREA, Kind, tpms_field
 
@@ -61,13 +60,11 @@ class PowerLaw:
         return slope, float(y.mean() - slope * x.mean())
 
 
-def exact_distance(domain: Domain, values: NDArray[np.floating], grid: Grid, target: Grid, wall: float) -> Values:
-    """Distance to a field's zero level set on another grid, exact where an evaluation needs it.
+def exact_distance(values: NDArray[np.floating], grid: Grid, target: Grid, wall: float) -> Values:
+    """Exact distance to a field's zero level set on another grid.
 
     Parameters
     ----------
-    domain
-        The envelope.
     values, grid
         The field (or a distance) and its grid, which must cover the domain.
     target
@@ -84,16 +81,14 @@ def exact_distance(domain: Domain, values: NDArray[np.floating], grid: Grid, tar
     # Marching cubes closes the level set at the rim of the grid: keep that rim out of reach.
     extra = int(np.ceil((band + target.spacing) / grid.spacing)) + 1
     padded = np.pad(np.asarray(values, dtype=np.float32), extra, mode="edge")
-    shape = (padded.shape[0], padded.shape[1], padded.shape[2])
-    surface = level_set(padded, Grid(grid.origin - extra * grid.spacing, grid.spacing, shape))
+    surface = level_set(padded, grid.padded(extra))
     sampled = grid.sample(values, target.points()).reshape(target.shape).astype(np.float32)
-    wanted = domain.depth(target, 2 * target.spacing) > -1.9 * target.spacing
-    return signed_distance(Nearest(surface), sampled, target, band, wanted)
+    return signed_distance(surface, sampled, target, band)
 
 
-def tpms_distance(domain: Domain, kind: Kind, cell: float, target: Grid, wall: float) -> Values:
+def tpms_distance(kind: Kind, cell: float, target: Grid, wall: float) -> Values:
     """Exact distance to a periodic surface of a cell size (unit-cube units), as :func:`exact_distance`."""
-    return exact_distance(domain, tpms_field(kind, target, cell), target, target, wall)
+    return exact_distance(tpms_field(kind, target, cell), target, target, wall)
 
 
 def tpms_exchanger(
@@ -107,7 +102,7 @@ def tpms_exchanger(
     skin: float = 0.0,
 ) -> VoxelExchanger:
     """A periodic surface of a cell size (unit-cube units) as an exchanger in the envelope."""
-    return voxelise(domain, tpms_distance(domain, kind, cell, grid, wall), grid, wall, shell, headers, skin)
+    return voxelise(domain, tpms_distance(kind, cell, grid, wall), grid, wall, shell, headers, skin)
 
 
 def cell_of_solid_fraction(domain: Domain, kind: Kind, grid: Grid, wall: float, fraction: float) -> float:
@@ -118,7 +113,7 @@ def cell_of_solid_fraction(domain: Domain, kind: Kind, grid: Grid, wall: float, 
     inside = domain.inside(grid)
     cell = wall * AREA[kind] / fraction
     for _ in range(4):
-        distance = tpms_distance(domain, kind, cell, grid, wall)
+        distance = tpms_distance(kind, cell, grid, wall)
         found = solid_share(distance[inside], wall, grid.spacing)
         if abs(found / fraction - 1) < 0.01:
             break

@@ -99,7 +99,7 @@ def evaluate(
     solved: SolvedExchanger | None = None
     floor: dict[str, StraightPassage] = {}
     try:
-        field = exact_distance(domain, distance, grid, target, greatest(wall))
+        field = exact_distance(distance, grid, target, greatest(wall))
         exchanger = voxelise(domain, field, target, wall, shell_thickness, headers, skin)
         solved = runner.solve(exchanger, "design")
         floor = _floor(solved, fluids)

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
+from dualms.triangles import TriangleMesh
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -98,12 +100,7 @@ def curvature_measure(vertices: Array, faces: Indices, radius: float, at: Indice
 
 def away_from_boundary(vertices: Array, faces: Indices, distance: float) -> NDArray[np.bool_]:
     """(V,) which vertices lie farther than ``distance`` from the mesh's open boundary; all of a closed mesh."""
-    edges, count = np.unique(
-        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
-        axis=0,
-        return_counts=True,
-    )
-    rim = np.unique(edges[count == 1])
+    rim = np.unique(TriangleMesh(vertices, faces).border)
     if len(rim) == 0:
         return np.ones(len(vertices), dtype=bool)
     away, _ = cKDTree(vertices[rim]).query(vertices, distance_upper_bound=distance)
@@ -136,7 +133,8 @@ def _edges(faces: Indices) -> Indices:
     """(E, 2) each edge once."""
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     count = int(faces.max(initial=0)) + 1
-    keys = np.unique(pairs[:, 0] * count + pairs[:, 1])
+    keys = np.sort(pairs[:, 0] * count + pairs[:, 1])
+    keys = keys[np.append(True, keys[1:] != keys[:-1])]
     return np.stack([keys // count, keys % count], axis=1)
 
 

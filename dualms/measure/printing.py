@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from dualms.body.body import Body
 from dualms.body.patches import INTERFACE
@@ -15,6 +16,7 @@ SAMPLES = 20_000
 DIRECTIONS = 400
 SHORTLISTED_BY = 50_000  # triangles, evenly drawn, by which the directions are chosen that all are asked for
 SHORTLIST = 16
+BORDER_STEP = 0.5  # of the wall's thickness, between samples of where it ends
 DIRECTIONS_AT_A_TIME = 16  # bounds the memory
 
 Array = NDArray[np.float64]
@@ -28,21 +30,39 @@ def wall_thicknesses(body: Body, seed: int) -> Array:
 def wall_samples(body: Body, seed: int) -> tuple[Array, Array]:
     """(S, 3) random points of the hot interface, and (S,) the thickness of the separating wall there, metres.
 
-    The distance from the hot side's interface to the cold side's. Points within two wall thicknesses of the other
-    patches are left out: there the wall meets the shell and has no thickness of its own.
+    Points where the wall has none of its own are left out, unless it has none anywhere.
     """
-    hot, cold = (f.mesh.part(f.patch == INTERFACE) for f in (body.hot, body.cold))
+    hot = body.hot.mesh.part(body.hot.patch == INTERFACE)
     points = hot.centroids
     if len(points) > SAMPLES:
         share = hot.areas / hot.area
         points = points[np.random.default_rng(seed).choice(len(points), SAMPLES, replace=False, p=share)]
-    keep = np.ones(len(points), dtype=bool)
+    away = ~beside_the_shell(points, body)
+    points = points[away] if away.any() else points
+    return points, to_cold(points, body)
+
+
+def to_cold(points: Array, body: Body) -> Array:
+    """(P,) distance of points (P, 3) from the cold side of the wall, metres: on the hot side, its thickness."""
+    return Nearest(body.cold.mesh.part(body.cold.patch == INTERFACE)).distance(points)
+
+
+def beside_the_shell(points: Array, body: Body) -> NDArray[np.bool_]:
+    """(P,) whether points (P, 3) lie within two wall thicknesses of where one of the wall's sides ends.
+
+    There it meets the shell, and has no thickness of its own.
+    """
+    beside = np.zeros(len(points), dtype=bool)
     for fluid in (body.hot, body.cold):
-        rim = fluid.mesh.part(fluid.patch != INTERFACE)
-        if len(rim.faces):
-            keep &= Nearest(rim).distance(points) > 2 * body.wall_m
-    points = points[keep] if keep.any() else points
-    return points, Nearest(cold).distance(points)
+        side = fluid.mesh.part(fluid.patch == INTERFACE)
+        a, b = side.vertices[side.border].swapaxes(0, 1)
+        pieces = np.ceil(np.linalg.norm(b - a, axis=1) / (BORDER_STEP * body.wall_m)).astype(np.int64) + 1
+        edge = np.repeat(np.arange(len(a)), pieces)
+        along = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / np.repeat(pieces - 1, pieces)
+        if len(edge):
+            border = cKDTree(a[edge] + along[:, None] * (b - a)[edge])
+            beside |= np.isfinite(border.query(points, distance_upper_bound=2 * body.wall_m)[0])
+    return beside
 
 
 def overhang_fraction(mesh: TriangleMesh, up: Array) -> float:

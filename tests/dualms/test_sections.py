@@ -57,7 +57,7 @@ def test_an_oblique_section_is_longer_by_the_slant(ducts: tuple[Domain, Surface,
 def test_pictures_show_both_fluids_and_the_maps(ducts: tuple[Domain, Surface, Body], tmp_path: Path) -> None:
     domain, surface, body = ducts
     sections_picture(domain, body, tmp_path / "sections.png", 2)
-    maps(surface, mean_curvature(surface.mesh.vertices, surface.mesh.faces), body, tmp_path / "maps.png", 160)
+    maps(surface.mesh, mean_curvature(surface.mesh.vertices, surface.mesh.faces), body, tmp_path / "maps.png", 160)
     pixels = np.asarray(Image.open(tmp_path / "sections.png").convert("RGB")).reshape(-1, 3).astype(int)
     red, blue = ((pixels[:, a] > pixels[:, b] + 80).mean() for a, b in ((0, 2), (2, 0)))
     assert red == pytest.approx(blue, rel=0.05)

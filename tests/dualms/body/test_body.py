@@ -16,7 +16,7 @@ from dualms.measure.printing import best_build_direction, overhang_fraction, wal
 from dualms.spec import Unit, WallFraction
 from dualms.surface import Surface, extract_surface
 from dualms.triangles import TriangleMesh
-from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid, shared_ends
+from tests.dualms.shapes import box_mesh, domain_of, end_ports, gyroid, halves, shared_ends
 
 WALL = 0.02
 SHELL = 0.03
@@ -94,6 +94,16 @@ def test_interfaces_of_a_plane_are_the_section_less_the_shell() -> None:
     rim = SHELL * domain.scale_m
     expected = (0.08 - 2 * rim) * (0.04 - 2 * rim)
     assert body.hot.mesh.areas[body.hot.patch == INTERFACE].sum() == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize("wall", [0.1, 0.3])
+def test_a_wall_thicker_than_the_grids_padding_leaves_the_rest(wall: float) -> None:
+    domain = domain_of(box_mesh(), end_ports())
+    grid = domain.grid(64, padding=4)
+    body = make_body(domain, extract_surface(domain, halves(grid), grid, wall / 2 + 1.5 * grid.spacing), wall, 0.0)
+    rest = (0.375 - wall / 2) * 0.5
+    for fluid in (body.hot, body.cold):
+        assert fluid.mesh.volume / domain.scale_m**3 == pytest.approx(rest, rel=1e-5)
 
 
 def test_a_fluid_that_misses_a_port_is_refused() -> None:

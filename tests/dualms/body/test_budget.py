@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dualms.body.body import Body, make_body
-from dualms.body.walls import channels
+from dualms.body.walls import channel
 from dualms.domain import Domain
 from dualms.measure.printing import wall_samples
 from dualms.surface import Surface, extract_surface
@@ -62,6 +62,6 @@ def test_a_budget_that_cannot_be_kept_goes_as_far_as_the_wall_allows(bodies: dic
 def test_sides_end_where_nobody_wants_them(given: tuple[Domain, Surface]) -> None:
     domain, surface = given
     reach = 2 * surface.grid.spacing
-    for side in channels(surface, WALL, reach):
+    for side in (channel(surface, WALL, reach, sign) for sign in (1, -1)):
         outside = -domain.signed_distance(side.mesh().vertices)
         assert reach < outside.max() < reach + 2.5 * surface.grid.spacing

@@ -143,7 +143,7 @@ def test_distances_do_not_depend_on_the_grid_that_the_field_came_on() -> None:
     target = domain.grid(40, 2)
 
     def on(grid: Grid) -> Values:
-        return exact_distance(domain, tpms_field("gyroid", grid, CELL), grid, target, WALL)
+        return exact_distance(tpms_field("gyroid", grid, CELL), grid, target, WALL)
 
     coarse, fine = on(domain.grid(64, 3)), on(domain.grid(128, 4))
     inside = domain.inside(target)
@@ -157,7 +157,7 @@ def test_cells_are_found_for_a_solid_fraction() -> None:
     cell = cell_of_solid_fraction(domain, "p", grid, WALL, 0.2)
     assert cell == pytest.approx(WALL * 2.35 / 0.2, rel=0.1)
     fine = domain.grid(80, 2)
-    distance = tpms_distance(domain, "p", cell, fine, WALL)
+    distance = tpms_distance("p", cell, fine, WALL)
     assert solid_share(distance[domain.inside(fine)], WALL, fine.spacing) == pytest.approx(0.2, rel=0.05)
 
 
