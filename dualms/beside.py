@@ -24,13 +24,22 @@ WORTH_VOXELS = 500_000  # of a grid; below, loading the modules twice costs more
 
 
 class Here(Executor):
-    """Runs what is submitted at once, in this process."""
+    """Runs what is submitted in this process, when its result is asked for."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """The ended call; an exception comes out of this method."""
-        future: Future[T] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
+        """The call that is to come; its exception comes out of the future's ``result``."""
+        return _Later(lambda: fn(*args, **kwargs))
+
+
+class _Later(Future[T]):
+    def __init__(self, call: Callable[[], T]) -> None:
+        super().__init__()
+        self._call = call
+
+    def result(self, timeout: float | None = None) -> T:
+        if not self.done():
+            self.set_result(self._call())
+        return super().result(timeout)
 
 
 @contextmanager

@@ -18,7 +18,6 @@ from dualms.body.files import single_precision
 from dualms.body.patches import INTERFACE
 from dualms.measure.curvature import mean_curvature
 from dualms.spec import MeshFormat, Unit
-from dualms.surface import Surface
 from dualms.triangles import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -26,7 +25,9 @@ Array = NDArray[np.float64]
 OBJ_DIGITS = 10  # after the point: single precision comes back as it was, in metres too
 
 
-def write_formats(formats: tuple[MeshFormat, ...], folder: Path, surface: Surface, body: Body, units: Unit) -> None:
+def write_formats(
+    formats: tuple[MeshFormat, ...], folder: Path, surface: TriangleMesh, body: Body, units: Unit
+) -> None:
     """Write a body's meshes in each of the formats.
 
     Parameters
@@ -44,15 +45,15 @@ def write_formats(formats: tuple[MeshFormat, ...], folder: Path, surface: Surfac
         Unit of the files.
     """
     fluids = {"fluid_hot": body.hot, "fluid_cold": body.cold}
-    sheet, solid = _in(units, surface.mesh), _in(units, body.solid)
+    sheet, solid = _in(units, surface), _in(units, body.solid)
     sides = {name: _in(units, fluid.mesh) for name, fluid in fluids.items()}
     if "obj" in formats:
         for name, mesh in {"surface": single_precision(sheet), "solid": solid, **sides}.items():
             write_obj(mesh, units, folder / f"{name}.obj")
     if "vtu" in formats:
         figures = {
-            "mean_curvature_per_m": mean_curvature(surface.mesh.vertices, surface.mesh.faces),
-            "thickness_m": wall_thickness_m(surface.mesh, body),
+            "mean_curvature_per_m": mean_curvature(surface.vertices, surface.faces),
+            "thickness_m": wall_thickness_m(surface, body),
         }
         write_vtu(sheet, figures, {}, folder / "wall.vtu")
         write_vtu(solid, {}, {"side": body.solid_side}, folder / "solid.vtu")

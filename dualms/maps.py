@@ -24,12 +24,12 @@ INCHES = 6.4  # across a map, for its text: that shrinks with the picture
 UNKNOWN = (0.75, 0.75, 0.75)  # where there is no fit, or no wall of its own
 
 
-def maps(sheet: TriangleMesh, curvature: Array, body: Body, path: Path, width: int = 640) -> None:
+def maps(surface: TriangleMesh, curvature: Array, body: Body, path: Path, width: int = 640) -> None:
     """Write ``maps.png``.
 
     Parameters
     ----------
-    sheet
+    surface
         The separating surface, metres.
     curvature
         (V,) mean curvature at its vertices, 1/m.
@@ -50,7 +50,7 @@ def maps(sheet: TriangleMesh, curvature: Array, body: Body, path: Path, width: i
     known = thickness[np.isfinite(thickness)]
     low, high = np.quantile(known, (0.01, 0.99)) if len(known) else (0.0, 1.0)
     panels = (
-        (sheet, curvature, (-limit, limit), "coolwarm", "Mean curvature of the separating surface", "H, 1/mm"),
+        (surface, curvature, (-limit, limit), "coolwarm", "Mean curvature of the separating surface", "H, 1/mm"),
         (wall, thickness, (0.97 * low, 1.03 * high), "viridis", "Thickness of the wall", "mm"),
     )
     for axis, (mesh, values, span, colours, title, label) in zip(axes, panels, strict=True):

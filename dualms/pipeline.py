@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dualms.beside import second_process
-from dualms.body.body import make_body
+from dualms.body.body import Recipe
 from dualms.body.headers import headers_of
 from dualms.body.thickness import greatest
 from dualms.body.walls import BAND_VOXELS, graded_wall, wall_thickness
@@ -30,7 +33,8 @@ from dualms.skeletons import Skeletons, skeletons, write_json
 from dualms.spec import AutoField, ShellSpec, Spec, Unit
 from dualms.steps import CHECKPOINT, Step, sha256_of
 from dualms.stopwatch import Stopwatch
-from dualms.surface import extract_surface
+from dualms.surface import Sheet, Surface, clipped, extract_sheet
+from dualms.triangles import TriangleMesh
 from dualms.values import load, save
 
 
@@ -100,6 +104,7 @@ def solve(folder: Path, spec: Spec, progress: Progress, device: str) -> None:
 def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> None:
     """Field → surface, body, report, pictures."""
     from dualms import results  # what draws costs a second to load, and the first two steps draw nothing
+    from dualms.sections import sections_picture
 
     watch = Stopwatch(progress)
     given = load(Prepared, folder / "prepared.safetensors")
@@ -111,40 +116,33 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     with second_process(grid.size, "dualms.results") as beside:
         wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, field.on))
         band = greatest(wall) / 2 + BAND_VOXELS * grid.spacing
-        surface = watch.run("surface", lambda: extract_surface(domain, field.on(grid), grid, band, shell, outside))
+        sheet = watch.run("surface", lambda: extract_sheet(domain, field.on(grid), grid, band, shell, outside))
         headers = headers_of(domain, spec.fluids, units, spec.shell)
-        body = watch.run(
-            "body",
-            lambda: make_body(
-                domain, surface, wall, shell, outside > 0, headers, units.metres, spec.surface.max_faces, beside
-            ),
-        )
+        recipe = Recipe(domain, sheet, wall, shell, outside > 0, headers, units.metres, spec.surface.max_faces)
+        cold = beside.submit(recipe.side, -1)
+        clip = beside.submit(_clipped, domain, sheet)
+        body = watch.run("body", lambda: recipe.join(recipe.side(1), cold.result(), beside))
 
         def measure() -> Report:
             graph, cut = given.graph, given.partition
-            curvature = mean_curvature(surface.mesh.vertices, surface.mesh.faces)
-            drawn = beside.submit(
-                results.draw, folder, domain, graph, cut, surface.mesh, curvature, body, spec.pictures.width
-            )
-            results.write_meshes(folder, domain, graph, cut, surface, body, units, spec.output.formats)
-            report = make_report(
-                domain,
-                sha256_of(domain_file),
-                cut,
-                len(graph.edges),
-                field,
-                surface,
-                curvature,
-                body,
-                wall,
-                spec,
-                given.units,
-            )
+            mesh, curvature = clip.result()
+            drawn = beside.submit(results.draw, folder, domain, graph, cut, mesh, curvature, body, spec.pictures.width)
+            sections_picture(domain, body, folder / "sections.png")
+            results.write_meshes(folder, domain, graph, cut, mesh, body, units, spec.output.formats)
+            sha256, edges = sha256_of(domain_file), len(graph.edges)
+            surface = Surface(**vars(sheet), mesh=mesh)
+            report = make_report(domain, sha256, cut, edges, field, surface, curvature, body, wall, spec, given.units)
             drawn.result()
             return report
 
         report = watch.run("report", measure)
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))
+
+
+def _clipped(domain: Domain, sheet: Sheet) -> tuple[TriangleMesh, NDArray[np.float64]]:
+    """The separating surface in the domain, metres, and the mean curvature (V,) at its vertices, 1/m."""
+    mesh = clipped(domain, sheet)
+    return mesh, mean_curvature(mesh.vertices, mesh.faces)
 
 
 def evaluate(folder: Path, spec: Spec, progress: Progress) -> None:

@@ -20,11 +20,10 @@ from dualms.maps import Array, maps
 from dualms.measure.report import Report
 from dualms.page import report_page
 from dualms.pictures import preview
-from dualms.sections import sections_picture
 from dualms.skeleton_mesh import skeleton_meshes
 from dualms.spec import MeshFormat, Unit
 from dualms.steps import ARTIFACTS, OPTIONAL_ARTIFACTS, sha256_of
-from dualms.surface import Surface, to_metres
+from dualms.surface import to_metres
 from dualms.triangles import TriangleMesh
 
 REGIONS = {"hot": "fluid_hot_patches.stl.gz", "cold": "fluid_cold_patches.stl.gz"}
@@ -35,15 +34,14 @@ def write_meshes(
     domain: Domain,
     graph: Graph,
     partition: Partition,
-    surface: Surface,
+    surface: TriangleMesh,
     body: Body,
     units: Unit,
     formats: tuple[MeshFormat, ...] = (),
 ) -> None:
-    """Write surface, solid, fluids, patches, scene, and other formats asked for."""
+    """Write surface (in metres), solid, fluids, patches, scene, and other formats asked for."""
     scaled = in_units(body, units.metres)
-    sheet = surface.mesh.moved(1 / units.metres, np.zeros(3))
-    write_stl(single_precision(sheet), folder / "surface.stl")
+    write_stl(single_precision(surface.moved(1 / units.metres, np.zeros(3))), folder / "surface.stl")
     write_stl(scaled.solid, folder / "solid.stl")
     write_3mf(scaled.solid, scaled.solid_side, units, folder / "solid.3mf")
     write_stl(scaled.hot.mesh, folder / "fluid_hot.stl")
@@ -60,7 +58,7 @@ def write_meshes(
             "solid": (body.solid, colours),
             "fluid_hot": (body.hot.mesh, HOT),
             "fluid_cold": (body.cold.mesh, COLD),
-            "surface": (surface.mesh, METAL),
+            "surface": (surface, METAL),
             "skeleton_hot": (bones["skeleton_hot"], HOT),
             "skeleton_cold": (bones["skeleton_cold"], COLD),
             "cut_edges": (bones["cut_edges"], METAL),
@@ -74,16 +72,15 @@ def draw(
     domain: Domain,
     graph: Graph,
     partition: Partition,
-    sheet: TriangleMesh,
+    surface: TriangleMesh,
     curvature: Array,
     body: Body,
     width: int,
 ) -> None:
-    """Draw the pictures, so many pixels across; ``curvature`` is that of the vertices of the surface ``sheet``, 1/m."""
+    """Draw preview and maps, so many pixels across; ``curvature`` is that of the surface's vertices, 1/m."""
     bones = _bones(domain, graph, partition)
     preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", width)
-    maps(sheet, curvature, body, folder / "maps.png", width // 2)
-    sections_picture(domain, body, folder / "sections.png")
+    maps(surface, curvature, body, folder / "maps.png", width // 2)
 
 
 def _bones(domain: Domain, graph: Graph, partition: Partition) -> dict[str, TriangleMesh]:

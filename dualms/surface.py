@@ -79,12 +79,23 @@ def extract_surface(
         If the field has one sign in the whole domain.
     """
     sheet = extract_sheet(domain, values, grid, band, shell, outside)
+    return Surface(**vars(sheet), mesh=clipped(domain, sheet))
+
+
+def clipped(domain: Domain, sheet: Sheet) -> TriangleMesh:
+    """The part of the separating surface in the domain, cut exactly: an open mesh in metres.
+
+    Raises
+    ------
+    EmptySurface
+        If there is none.
+    """
     hot = Solid.of(sheet.nearest.mesh)
-    clipped, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
-    part = clipped.part(origin == hot.origin)
+    cut, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
+    part = cut.part(origin == hot.origin)
     if len(part.faces) == 0:
         raise _empty()
-    return Surface(**vars(sheet), mesh=to_metres(domain, part))
+    return to_metres(domain, part)
 
 
 def extract_sheet(
@@ -111,11 +122,14 @@ def extract_sheet(
     Raises
     ------
     EmptySurface
-        If the field has one sign in and near the domain.
+        If the field has one sign in the domain's voxels.
     """
     outside = shell if outside is None else outside
     wanted = outside + 3 * grid.spacing
     depth = domain.depth(grid, max(shell + 2 * grid.spacing, wanted + 1.5 * grid.spacing))
+    hot = values[depth > 0] > 0
+    if hot.all() or not hot.any():
+        raise _empty()
     # What lies further out is nobody's: a domain that bends fills half of its box.
     farthest = (wanted + band) / grid.spacing + 1.5
     # Marching cubes closes the level set at the rim of the grid: keep that rim as far out.
@@ -124,8 +138,6 @@ def extract_sheet(
     more = max(ceil(farthest - float(min((low - grid.origin).min(), (last - high).min())) / grid.spacing), 0)
     near = edt.edt(np.pad(depth <= 0, more, constant_values=True), parallel=0) < farthest
     whole = level_set(np.where(near, np.pad(values, more, mode="edge"), -np.abs(values).max()), grid.padded(more))
-    if len(whole.faces) == 0:
-        raise _empty()
     return Sheet(Nearest(whole), signed_distance(whole, values, grid, band), depth, grid, band)
 
 

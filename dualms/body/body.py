@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class _Side:
+class Side:
     """What one fluid takes from a body, unit-cube frame.
 
     Parameters
@@ -115,44 +116,8 @@ class _Side:
 
 
 @dataclass(frozen=True)
-class _Recipe:
-    """What a body is made from: the arguments of :func:`make_body`."""
-
-    domain: Domain
-    sheet: Sheet
-    wall: Wall
-    shell: float
-    outside: bool
-    headers: tuple[Header, ...]
-    unit_m: float
-    max_faces: int
-
-    def outline(self) -> Outline:
-        envelope = Solid.of(TriangleMesh(self.domain.vertices, self.domain.faces))
-        return outline_of(self.domain, self.sheet, envelope, self.shell if self.outside else 0.0, self.headers)
-
-    def side(self, sign: int, outline: Outline) -> _Side:
-        reach = (self.shell if self.outside else 0.0) + 2 * self.sheet.grid.spacing
-        side = simplified(channel(self.sheet, self.wall, reach, sign), least(self.wall) / 2, self.max_faces // 2)
-        made = _room(self.domain, self.sheet, side, self.shell, sign, self.outside, outline)
-        room, origin = made.faces_by_origin()
-        facing = (origin != side.origin).astype(np.int64)
-        part, pockets, fluid = _fluid(self.domain, Solid.of_parts(room, facing), outline, sign, self.shell, self.unit_m)
-        return _Side(room, facing, part.mesh(), tuple(pocket.mesh() for pocket in pockets), fluid)
-
-
-def make_body(
-    domain: Domain,
-    sheet: Sheet,
-    wall: Wall,
-    shell: float,
-    outside: bool = False,
-    headers: tuple[Header, ...] = (),
-    unit_m: float = 1.0,
-    max_faces: int = MAX_FACES,
-    beside: Executor | None = None,
-) -> Body:
-    """Cut the two sides of the wall out of the envelope.
+class Recipe:
+    """What a body is made from: its sides can be made in different processes, and joined in one.
 
     Parameters
     ----------
@@ -170,59 +135,106 @@ def make_body(
         Metres of the unit that files will be in: coordinates in it are exact in single precision.
     max_faces
         Triangles that the solid should have at most. It has more where the wall's thickness needs them.
-    beside
-        Where the cold side is made, while this process makes the hot one.
-
-    Raises
-    ------
-    ChannelBlocked
-        If a fluid's largest part does not join all of its ports.
-    WallTooThick, InvalidBody
-        If nothing is left, or a boolean fails.
-    InvalidSpec
-        If a header touches what it must not.
     """
-    beside = beside or Here()
-    recipe = _Recipe(domain, sheet, wall, shell, outside, headers, unit_m, max_faces)
-    beyond = beside.submit(_side, recipe, -1)
-    outline = recipe.outline()
-    hot = recipe.side(1, outline)
-    cold = beyond.result()
-    leak = beside.submit(_common, hot.part, cold.part)
-    hot_room, cold_room = (Solid.of_parts(side.room, side.facing) for side in (hot, cold))
-    # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
-    block = outline.solid - hot_room - cold_room
-    for pocket in (*hot.pockets, *cold.pockets):
-        block = block | Solid.of(pocket)
-    parts = block.bodies()
-    if not parts:
-        raise InvalidBody("No solid is left.", advice="Make the wall or the shell thicker.")
-    dropped = sum(part.volume for part in parts[1:])
-    if dropped > NEGLIGIBLE * domain.volume:
-        raise InvalidBody(
-            f"The solid falls into {len(parts)} parts; {100 * dropped / domain.volume:.2g} % of the domain is not "
-            "joined to the largest.",
-            advice="Give the body a shell, or make the wall thicker.",
-            measured={"parts": len(parts), "loose_fraction": dropped / domain.volume},
+
+    domain: Domain
+    sheet: Sheet
+    wall: Wall
+    shell: float
+    outside: bool = False
+    headers: tuple[Header, ...] = ()
+    unit_m: float = 1.0
+    max_faces: int = MAX_FACES
+
+    def __getstate__(self) -> dict[str, object]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # no solids: they stay in a process
+
+    @cached_property
+    def outline(self) -> Outline:
+        """What bounds the body from outside.
+
+        Raises
+        ------
+        InvalidSpec
+            If a header touches what it must not.
+        """
+        envelope = Solid.of(TriangleMesh(self.domain.vertices, self.domain.faces))
+        return outline_of(self.domain, self.sheet, envelope, self.shell if self.outside else 0.0, self.headers)
+
+    def side(self, sign: int) -> Side:
+        """What the hot (1) or the cold (-1) fluid takes.
+
+        Raises
+        ------
+        ChannelBlocked
+            If the fluid's largest part does not join all of its ports.
+        WallTooThick
+            If nothing is left of it.
+        """
+        reach = (self.shell if self.outside else 0.0) + 2 * self.sheet.grid.spacing
+        wall = simplified(channel(self.sheet, self.wall, reach, sign), least(self.wall) / 2, self.max_faces // 2)
+        made = _room(self.domain, self.sheet, wall, self.shell, sign, self.outside, self.outline)
+        room, origin = made.faces_by_origin()
+        facing = (origin != wall.origin).astype(np.int64)
+        solid = Solid.of_parts(room, facing)
+        part, pockets, fluid = _fluid(self.domain, solid, self.outline, sign, self.shell, self.unit_m)
+        return Side(room, facing, part.mesh(), tuple(pocket.mesh() for pocket in pockets), fluid)
+
+    def join(self, hot: Side, cold: Side, beside: Executor) -> Body:
+        """Cut both sides out of the outline; the volume that they have in common is measured beside.
+
+        Raises
+        ------
+        InvalidBody
+            If no solid is left, or it falls apart.
+        """
+        leak = beside.submit(_common, hot.part, cold.part)
+        domain, outline = self.domain, self.outline.solid
+        hot_room, cold_room = (Solid.of_parts(side.room, side.facing) for side in (hot, cold))
+        # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
+        block = outline - hot_room - cold_room
+        for pocket in (*hot.pockets, *cold.pockets):
+            block = block | Solid.of(pocket)
+        parts = block.bodies()
+        if not parts:
+            raise InvalidBody("No solid is left.", advice="Make the wall or the shell thicker.")
+        dropped = sum(part.volume for part in parts[1:])
+        if dropped > NEGLIGIBLE * domain.volume:
+            raise InvalidBody(
+                f"The solid falls into {len(parts)} parts; {100 * dropped / domain.volume:.2g} % of the domain is not "
+                "joined to the largest.",
+                advice="Give the body a shell, or make the wall thicker.",
+                measured={"parts": len(parts), "loose_fraction": dropped / domain.volume},
+            )
+        cubic = domain.scale_m**3
+        solid, origin, crossing = _written(domain, parts[0], self.unit_m)
+        return Body(
+            solid=solid,
+            solid_side=_of(hot_room, origin).astype(np.int64) - _of(cold_room, origin),
+            hot=hot.fluid,
+            cold=cold.fluid,
+            wall_m=_mean_wall(domain, self.wall, hot.fluid),
+            shell_m=self.shell * domain.scale_m,
+            outline_m3=outline.volume * cubic,
+            dropped_m3=dropped * cubic,
+            leak_m3=leak.result() * cubic,
+            crossing=crossing,
         )
-    cubic = domain.scale_m**3
-    solid, origin, crossing = _written(domain, parts[0], unit_m)
-    return Body(
-        solid=solid,
-        solid_side=_of(hot_room, origin).astype(np.int64) - _of(cold_room, origin),
-        hot=hot.fluid,
-        cold=cold.fluid,
-        wall_m=_mean_wall(domain, wall, hot.fluid),
-        shell_m=shell * domain.scale_m,
-        outline_m3=outline.solid.volume * cubic,
-        dropped_m3=dropped * cubic,
-        leak_m3=leak.result() * cubic,
-        crossing=crossing,
-    )
 
 
-def _side(recipe: _Recipe, sign: int) -> _Side:
-    return recipe.side(sign, recipe.outline())
+def make_body(
+    domain: Domain,
+    sheet: Sheet,
+    wall: Wall,
+    shell: float,
+    outside: bool = False,
+    headers: tuple[Header, ...] = (),
+    unit_m: float = 1.0,
+    max_faces: int = MAX_FACES,
+) -> Body:
+    """Cut the two sides of the wall out of the envelope, in this process; see :class:`Recipe`."""
+    recipe = Recipe(domain, sheet, wall, shell, outside, headers, unit_m, max_faces)
+    return recipe.join(recipe.side(1), recipe.side(-1), Here())
 
 
 def _of(room: Solid, origin: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 SAG = 0.025  # of half the thickness: how far the middle of an edge may lie off
-BAND_VOXELS = 1.5  # of exact distance beyond half the wall: an edge that crosses its surface ends within one
+BAND_VOXELS = 1.1  # of exact distance beyond half the wall: an edge that crosses its surface ends within one
 THICKEST = 0.12  # unit-cube units; thicker is not tried for a wall given by its share
 SHARE_RESOLUTION = 64  # and its double: a share's two grids
 

@@ -87,7 +87,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The gyroid's body in millimetres, in all formats on request."""
     folder = tmp_path_factory.mktemp("formats")
     _, surface, body = gyroid_body()
-    write_formats(("obj", "vtu"), folder, surface, body, Unit.MM)
+    write_formats(("obj", "vtu"), folder, surface.mesh, body, Unit.MM)
     return folder
 
 
@@ -97,7 +97,7 @@ def test_the_formats_on_request_are_the_files_that_the_step_names(folder: Path) 
 
 def test_nothing_is_written_unasked(tmp_path: Path) -> None:
     _, surface, body = gyroid_body()
-    write_formats((), tmp_path, surface, body, Unit.MM)
+    write_formats((), tmp_path, surface.mesh, body, Unit.MM)
     assert not list(tmp_path.iterdir())
 
 
