@@ -15,7 +15,7 @@ import httpx
 import psutil
 
 PARTS = {
-    "api": "service.listen",
+    "api": "dualms-api",
     "worker": "worker.station",
     "step": "worker.step",
     "broker": "valkey-server",
@@ -118,6 +118,6 @@ def design_of(step: psutil.Process) -> str | None:
 
 def _is(process: psutil.Process, words: str) -> bool:
     try:
-        return words in " ".join(process.cmdline())
+        return words in " ".join([process.name(), *process.cmdline()])
     except psutil.Error:
         return False

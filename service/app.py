@@ -1,4 +1,4 @@
-"""The HTTP face: ``create_app`` makes it, ``app`` is what uvicorn serves."""
+"""The HTTP face: ``create_app`` makes what uvicorn serves."""
 
 from __future__ import annotations
 
@@ -90,6 +90,3 @@ def _telemetry(traces: Tracing) -> TelemetryConfig:
     """Spans of requests where traces are asked for; figures are Prometheus's, and the log is ours."""
     off: TelemetryConfig = {"metrics": False, "logs": False, "operation_spans": False}
     return {**off, "tracing": traces.on, **({"tracer_provider": traces.provider} if traces.on else {})}
-
-
-app = create_app()

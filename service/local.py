@@ -12,7 +12,6 @@ import hashlib
 import os
 import shutil
 import socket
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from typing import IO
 
 import psutil
 
+from service.listen import load, run
 from service.loopback import names_this_machine
 from worker.gpus import gpus
 from worker.main import queue_process
@@ -92,13 +92,13 @@ def serve(plan: Plan, say: Callable[[str], None] = print) -> None:
             child.start()
         queues = plan.queues or machine_queues()
         env = {**access, "DUALMS_REDIS_URL": url, "DUALMS_DATA_DIR": str(plan.data.resolve()), "PYTHONUNBUFFERED": "1"}
-        api.append(_api(listener, logs, env))
-        api[0].start()
         for child in broker:
             _wait_for_broker(child, url, stop)
         for queue in queues:
             workers.append(queue_process(queue, WorkerSettings(), log=logs / "worker.log", env=env))
             workers[-1].start()
+        api.append(_api(listener, lock, logs, env))
+        api[0].start()
         host, port = listener.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
         say(f"DualMS listens at http://{shown}:{port}  (data and logs in {plan.data}; queues {', '.join(queues)})")
@@ -263,7 +263,12 @@ def _wait_for_broker(broker: Child, url: str, stop: StopSignals) -> None:
         time.sleep(0.02)
 
 
-def _api(listener: socket.socket, logs: Path, env: dict[str, str]) -> Child:
-    fd = listener.fileno()
-    command = [sys.executable, "-m", "service.listen", str(fd)]
-    return Child("api", command, logs / "api.log", grace_s=8, pass_fds=(fd,), env=env)
+def _api(listener: socket.socket, lock: IO[str], logs: Path, env: dict[str, str]) -> Child:
+    """The API in a fork of this process, which loads it once: started again, it answers at once."""
+    load()
+
+    def answer() -> None:
+        lock.close()  # it is the parent's
+        run(listener)
+
+    return Child("api", answer, logs / "api.log", grace_s=8, env=env)

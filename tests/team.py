@@ -73,7 +73,7 @@ class Team:
             "DUALMS_STORE_URL": s3.url,
         }
         environment = {**own, **s3.environment, **urls, "OMP_NUM_THREADS": "1", **settings}
-        serving = f"import uvicorn; uvicorn.run('service.app:app', host='0.0.0.0', port={PORT})"
+        serving = f"import uvicorn; uvicorn.run('service.app:create_app', factory=True, host='0.0.0.0', port={PORT})"
         self._start("api", environment, "-c", serving)
         for name in WORKERS:
             self._start(name, environment, "-m", "worker.main", "cpu")

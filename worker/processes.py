@@ -5,20 +5,24 @@ The parent does nothing else; whatever it starts dies with it (``PR_SET_PDEATHSI
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
+from typing import IO, Protocol, cast
 
 import psutil
 
 STEADY_S = 5.0  # a process that lived so long has started; its next restart is immediate
 MAX_BACKOFF_S = 10.0
+_PDEATHSIG, _NAME = 1, 15  # of prctl
 
 # Run before exec in the child: die when the parent dies, even by SIGKILL.
 _WITH_PARENT = (
@@ -30,6 +34,28 @@ _WITH_PARENT = (
 )
 
 
+class Process(Protocol):
+    """As much of ``subprocess.Popen`` as it takes to watch a process."""
+
+    pid: int
+
+    @property
+    def returncode(self) -> int | None:
+        """How it ended; negative by a signal."""
+
+    def poll(self) -> int | None:
+        """How it ended, None while it lives."""
+
+    def wait(self, timeout: float | None = None) -> int:
+        """How it ended; raises ``subprocess.TimeoutExpired`` if it has not in time."""
+
+    def send_signal(self, sig: int) -> None:
+        """Send it a signal, unless it has ended."""
+
+    def kill(self) -> None:
+        """End it at once."""
+
+
 @dataclass
 class Child:
     """One supervised process.
@@ -39,7 +65,8 @@ class Child:
     name
         For logs and messages.
     command
-        Program (absolute path) and arguments.
+        Program (absolute path) and arguments; or a function, which a fork of this process runs with all that has been
+        loaded here. It must close what it does not want to share.
     log
         File that gets its output; None: it shares the parent's.
     grace_s
@@ -51,13 +78,13 @@ class Child:
     """
 
     name: str
-    command: Sequence[str]
+    command: Sequence[str] | Callable[[], None]
     log: Path | None = None
     grace_s: float = 10.0
     pass_fds: tuple[int, ...] = ()
     stop_signal: signal.Signals = signal.SIGTERM
     env: Mapping[str, str] = field(default_factory=dict)
-    process: subprocess.Popen[bytes] | None = None
+    process: Process | None = None
     started: float = 0.0
     failures: int = 0
     _end_by: float | None = None
@@ -65,15 +92,18 @@ class Child:
     def start(self) -> None:
         """Start it, in a session of its own so that a terminal's Ctrl-C reaches only the parent."""
         with nullcontext() if self.log is None else self.log.open("ab") as out:
-            self.process = subprocess.Popen(
-                with_parent(self.command, self.stop_signal),
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=out if out is None else subprocess.STDOUT,
-                env={**os.environ, **self.env},
-                pass_fds=self.pass_fds,
-                start_new_session=True,
-            )
+            if callable(self.command):
+                self.process = Fork(self.name, self.command, self.stop_signal, out, self.env)
+            else:
+                self.process = subprocess.Popen(
+                    with_parent(self.command, self.stop_signal),
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=out if out is None else subprocess.STDOUT,
+                    env={**os.environ, **self.env},
+                    pass_fds=self.pass_fds,
+                    start_new_session=True,
+                )
         self.started = time.monotonic()
 
     @property
@@ -130,6 +160,66 @@ class Child:
             return "" if self.log is None else "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
         except OSError:
             return ""
+
+
+class Fork:
+    """A fork of this process that runs a function; it is called ``dualms-NAME`` (Linux)."""
+
+    def __init__(
+        self, name: str, run: Callable[[], None], number: signal.Signals, out: IO[bytes] | None, env: Mapping[str, str]
+    ) -> None:
+        self._process = get_context("fork").Process(target=_forked, args=(name, run, os.getpid(), number, out, env))
+        self._process.start()
+        self.pid = cast("int", self._process.pid)
+
+    @property
+    def returncode(self) -> int | None:
+        """How it ended; negative by a signal."""
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        """How it ended, None while it lives."""
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """How it ended; raises ``subprocess.TimeoutExpired`` if it has not in time."""
+        self._process.join(timeout)
+        if self._process.exitcode is None:
+            raise subprocess.TimeoutExpired(self._process.name, timeout or 0.0)
+        return self._process.exitcode
+
+    def send_signal(self, sig: int) -> None:
+        """Send it a signal, unless it has ended."""
+        if self._process.exitcode is None:
+            os.kill(self.pid, sig)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+
+def _forked(
+    name: str,
+    run: Callable[[], None],
+    parent: int,
+    number: signal.Signals,
+    out: IO[bytes] | None,
+    env: Mapping[str, str],
+) -> None:
+    os.setsid()
+    for asked in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(asked, signal.SIG_DFL)
+    if sys.platform == "linux":
+        prctl = ctypes.CDLL(None).prctl
+        prctl(_PDEATHSIG, int(number))
+        prctl(_NAME, f"dualms-{name}".encode())
+    if os.getppid() != parent:
+        os._exit(0)
+    if out is not None:
+        os.dup2(out.fileno(), 1)
+        os.dup2(out.fileno(), 2)
+    os.environ.update(env)
+    run()
 
 
 def stop_all(children: Sequence[Child]) -> None:

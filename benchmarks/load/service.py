@@ -90,7 +90,7 @@ def served(folder: Path) -> Iterator[Server]:
             time.sleep(0.005)
         seconds = time.monotonic() - began
         parent = psutil.Process(process.pid)
-        api = next(p for p in parent.children() if "service.listen" in " ".join(p.cmdline()))
+        api = next(p for p in parent.children() if p.name() == "dualms-api")
         later = api.create_time() - parent.create_time()
         yield Server(url, api.pid, seconds, cpu_s(process.pid) + cpu_s(api.pid), seconds - later)
     finally:

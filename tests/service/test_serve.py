@@ -85,7 +85,7 @@ def test_only_the_parent_killed_takes_its_children_along(serve_at: Serve, tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("victim", ["service.listen", "valkey", "worker.station"])
+@pytest.mark.parametrize("victim", ["dualms-api", "valkey", "worker.station"])
 def test_a_killed_part_is_started_again(
     serve_at: Serve, tmp_path: Path, box: Path, spec: dict[str, Any], victim: str
 ) -> None:
@@ -93,7 +93,7 @@ def test_a_killed_part_is_started_again(
     domain = service.upload(box).json()["id"]
     design = service.http.post("/v1/designs", json={"domain": domain, "spec": spec}).json()
     running(service, design)
-    killed = [p for p in service.family()[1:] if victim in " ".join(p.cmdline())]
+    killed = [p for p in service.family()[1:] if victim in " ".join([p.name(), *p.cmdline()])]
     assert killed, [p.cmdline() for p in service.family()]
     killed[0].kill()
     assert gone(killed[:1])
@@ -123,7 +123,7 @@ def test_an_event_stream_goes_on_after_the_api_was_killed(
                         seen.append((number, value))
                     if len(seen) == 3 and not killed:
                         killed = True
-                        next(p for p in service.family() if "service.listen" in " ".join(p.cmdline())).kill()
+                        next(p for p in service.family() if p.name() == "dualms-api").kill()
         except httpx.TransportError:
             time.sleep(0.2)  # as a browser does
     assert killed
