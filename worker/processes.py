@@ -120,7 +120,7 @@ class Child:
             self.failures = 0
         if self.failures and lived < min(0.5 * 2**self.failures, MAX_BACKOFF_S):
             return None
-        code = self.process.returncode
+        code = self.process.wait()  # it has ended
         how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         self.failures += 1
         self.start()
