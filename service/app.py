@@ -22,6 +22,7 @@ from service.domains.endpoints import router as domains
 from service.gauges import RecordsCollector
 from service.key_first import KeyFirst
 from service.limits import BodyLimit
+from service.lingering import Lingering
 from service.metrics import Meter
 from service.observing import Observing
 from service.settings import Settings
@@ -82,6 +83,7 @@ def create_app(
     describe(app)
     app.add_middleware(KeyFirst)
     app.add_middleware(BodyLimit, upload_bytes=theirs.upload_bytes + FORM_OVERHEAD)
+    app.add_middleware(Lingering)
     app.add_middleware(Observing, meter=Meter(registry))
     return app
 
