@@ -166,7 +166,7 @@ def _fraction_error(folder: Path, spec: Spec) -> float | None:
     grid = domain.grid(spec.surface.resolution, padding=4)
     values = load_field(folder / "field.safetensors").on(grid)
     surface = extract_surface(domain, values, grid, wall / 2 + BAND_VOXELS * grid.spacing)
-    envelope = Solid.of(TriangleMesh(domain.vertices, domain.faces))
+    envelope = Solid.of(domain.boundary)
     left = sum((side & envelope).volume for side in (channel(surface, wall, 0.0, sign) for sign in (1, -1)))
     return abs((1 - left / envelope.volume) / spec.wall.volume_fraction - 1)
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib import import_module
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.process import BaseProcess
@@ -21,6 +22,13 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 WORTH_VOXELS = 500_000  # of a grid; below, loading the modules twice costs more than is won
+
+
+class Passed:
+    """A dataclass that goes to another process without what it keeps cached."""
+
+    def __getstate__(self) -> dict[str, object]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
 
 class Here(Executor):

@@ -25,6 +25,7 @@ from dualms.triangles import TriangleMesh
 
 LONGEST_EDGE = 1 / 64  # of the triangles that winding numbers are taken from, unit-cube units
 FEW = 50  # triangles: so many are summed sooner one by one
+EDGE_OVER_BAND = 4  # a triangle's box of edge L + 2B holds fewest voxels for its area L² at L = 4B
 Mask = NDArray[np.bool_]
 
 
@@ -71,17 +72,23 @@ class Domain:
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
+    @property
+    def boundary(self) -> TriangleMesh:
+        """The envelope's closed mesh."""
+        return TriangleMesh(self.vertices, self.faces)
+
     @cached_property
-    def _boundary(self) -> Nearest:
-        return Nearest(TriangleMesh(self.vertices, self.faces))
+    def _nearest(self) -> Nearest:
+        return Nearest(self.boundary)
 
     @cached_property
     def _fine(self) -> TriangleMesh:
-        """The boundary in triangles of at most 1/64: winding numbers near long thin ones cost up to ten times more."""
-        mesh = TriangleMesh(self.vertices, self.faces)
-        if len(mesh.faces) <= FEW:
-            return mesh
-        return Solid(Solid.of(mesh).manifold.refine_to_length(LONGEST_EDGE), -1).mesh()
+        """The boundary for winding numbers: near long thin triangles they cost up to ten times more."""
+        return self.boundary if len(self.faces) <= FEW else self._split(LONGEST_EDGE)
+
+    def _split(self, edge: float) -> TriangleMesh:
+        """The boundary in triangles with edges of at most a length."""
+        return Solid(Solid.of(self.boundary).manifold.refine_to_length(edge), -1).mesh()
 
     def grid(self, resolution: int, padding: int = 3) -> Grid:
         """A grid of spacing 1/resolution that covers the domain."""
@@ -98,7 +105,7 @@ class Domain:
         """(P,) exact distance to the boundary, positive inside."""
         if len(points) == 0:
             return np.zeros(0)
-        return np.asarray(np.where(self.contains(points), 1.0, -1.0) * self._boundary.distance(points), dtype=float)
+        return np.asarray(np.where(self.contains(points), 1.0, -1.0) * self._nearest.distance(points), dtype=float)
 
     def depth(self, grid: Grid, band: float) -> NDArray[np.float32]:
         """Signed distance to the boundary on a grid, positive inside, exact below ``band`` and clipped to ±band.
@@ -106,7 +113,8 @@ class Domain:
         Two neighbours on different sides of the boundary cannot both be further than half a voxel from it, so beyond
         that one inside test a connected region decides the sign.
         """
-        distance = band_distance(self._fine, grid, max(band, grid.spacing))
+        reach = max(band, grid.spacing)
+        distance = band_distance(self._split(EDGE_OVER_BAND * reach), grid, reach)
         far = distance > 0.51 * grid.spacing
         inside = np.zeros(grid.shape, dtype=bool)
         inside[~far] = self.contains(grid.points(~far))

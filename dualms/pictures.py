@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dualms.body.body import Body, in_units
-from dualms.body.patches import WALL
+from dualms.body.patches import INTERFACE, WALL
 from dualms.booleans import Solid
 from dualms.render import Colour, camera, captioned, render
 from dualms.triangles import TriangleMesh
@@ -44,12 +44,13 @@ def preview(body: Body, hot_bones: TriangleMesh, cold_bones: TriangleMesh, path:
     facing = _port_direction(body)
     solid = Solid.of_parts(body.solid, body.solid_side + 1).simplified(UNSEEN / width)
     printed, face_side = _sides(solid, solid)
+    sides = {s: printed.part(face_side == s) for s, _ in SIDES}
     whole, small = (width, int(0.5 * width)), (third, int(0.8 * third))
     views = (
         ("Cut open: hot side red, cold side blue", _cut_open(solid), whole, None),
         ("Skeletons", bones, small, facing),
-        ("Hot and cold fluid", [(body.hot.mesh, HOT), (body.cold.mesh, COLD)], small, facing),
-        ("The printed body", [(printed.part(face_side == s), c) for s, c in SIDES], small, facing),
+        ("Hot and cold fluid", [*((sides[s], c) for s, c in SIDES if s), *_openings(body)], small, facing),
+        ("The printed body", [(sides[s], c) for s, c in SIDES], small, facing),
     )
     pictures = []
     for title, parts, size, side in views:
@@ -67,6 +68,12 @@ def _sides(solid: Solid, of: Solid) -> tuple[TriangleMesh, NDArray[np.int64]]:
     mesh, origin = solid.faces_by_origin()
     side = origin - of.origin - 1
     return mesh, np.where(np.abs(side) > 1, 2, side)
+
+
+def _openings(body: Body) -> list[tuple[TriangleMesh, Colour]]:
+    """The rest of the fluids' boundaries: where they meet no face of the solid."""
+    inner = WALL if body.shell_m else INTERFACE
+    return [(fluid.mesh.part(fluid.patch > inner), colour) for fluid, colour in ((body.hot, HOT), (body.cold, COLD))]
 
 
 def _cut_open(solid: Solid) -> list[tuple[TriangleMesh, Colour]]:

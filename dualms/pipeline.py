@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dualms.beside import second_process
-from dualms.body.body import Recipe
+from dualms.body.body import Body, Recipe
 from dualms.body.headers import headers_of
 from dualms.body.thickness import greatest
 from dualms.body.walls import BAND_VOXELS, graded_wall, wall_thickness
@@ -103,8 +103,7 @@ def solve(folder: Path, spec: Spec, progress: Progress, device: str) -> None:
 
 def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> None:
     """Field → surface, body, report, pictures."""
-    from dualms import results  # what draws costs a second to load, and the first two steps draw nothing
-    from dualms.sections import sections_picture
+    from dualms import results  # what writes costs a second to load, and the first two steps write no meshes
 
     watch = Stopwatch(progress)
     given = load(Prepared, folder / "prepared.safetensors")
@@ -113,7 +112,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
     inside, outside = shells(spec.shell, units, domain)
     shell = inside or outside
     grid = domain.grid(spec.surface.resolution, padding=4 + ceil(outside * spec.surface.resolution))
-    with second_process(grid.size, "dualms.results") as beside:
+    with second_process(grid.size, "dualms.drawing") as beside:
         wall = watch.run("surface", lambda: wall_thickness(spec.wall, units, domain, field.on))
         band = greatest(wall) / 2 + BAND_VOXELS * grid.spacing
         sheet = watch.run("surface", lambda: extract_sheet(domain, field.on(grid), grid, band, shell, outside))
@@ -126,8 +125,7 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
         def measure() -> Report:
             graph, cut = given.graph, given.partition
             mesh, curvature = clip.result()
-            drawn = beside.submit(results.draw, folder, domain, graph, cut, mesh, curvature, body, spec.pictures.width)
-            sections_picture(domain, body, folder / "sections.png")
+            drawn = beside.submit(_draw, folder, given, mesh, curvature, body, spec.pictures.width)
             results.write_meshes(folder, domain, graph, cut, mesh, body, units, spec.output.formats)
             sha256, edges = sha256_of(domain_file), len(graph.edges)
             surface = Surface(**vars(sheet), mesh=mesh)
@@ -137,6 +135,14 @@ def build(folder: Path, domain_file: Path, spec: Spec, progress: Progress) -> No
 
         report = watch.run("report", measure)
     results.write_report(folder, report.timed(watch.total(folder, "prepare", "solve")))
+
+
+def _draw(
+    folder: Path, given: Prepared, mesh: TriangleMesh, curvature: NDArray[np.float64], body: Body, width: int
+) -> None:
+    from dualms.drawing import draw  # only the process that draws loads what draws
+
+    draw(folder, given.domain, given.graph, given.partition, mesh, curvature, body, width)
 
 
 def _clipped(domain: Domain, sheet: Sheet) -> tuple[TriangleMesh, NDArray[np.float64]]:

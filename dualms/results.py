@@ -1,4 +1,4 @@
-"""The files that clients download: meshes in the domain's own units, pictures, and the report as JSON and page."""
+"""The files that clients download: meshes in the domain's own units, and the report as JSON and page."""
 
 from __future__ import annotations
 
@@ -16,14 +16,11 @@ from dualms.cut.partition import Partition
 from dualms.domain import Domain
 from dualms.exchange import write_formats
 from dualms.graph.graph import Graph
-from dualms.maps import Array, maps
 from dualms.measure.report import Report
 from dualms.page import report_page
-from dualms.pictures import preview
 from dualms.skeleton_mesh import skeleton_meshes
 from dualms.spec import MeshFormat, Unit
 from dualms.steps import ARTIFACTS, OPTIONAL_ARTIFACTS, sha256_of
-from dualms.surface import to_metres
 from dualms.triangles import TriangleMesh
 
 REGIONS = {"hot": "fluid_hot_patches.stl.gz", "cold": "fluid_cold_patches.stl.gz"}
@@ -51,7 +48,7 @@ def write_meshes(
     write_json(folder / "patches.json", patches(body, units))
     write_formats(formats, folder, surface, body, units)
     colours = np.array([SIDE_COLOURS[s] for s in (-1, 0, 1)], dtype=np.uint8)[body.solid_side + 1]
-    bones = _bones(domain, graph, partition)
+    bones = skeleton_meshes(domain, graph, partition)
     # glTF is in metres by definition.
     write_glb(
         {
@@ -65,27 +62,6 @@ def write_meshes(
         },
         folder / "scene.glb",
     )
-
-
-def draw(
-    folder: Path,
-    domain: Domain,
-    graph: Graph,
-    partition: Partition,
-    surface: TriangleMesh,
-    curvature: Array,
-    body: Body,
-    width: int,
-) -> None:
-    """Draw preview and maps, so many pixels across; ``curvature`` is that of the surface's vertices, 1/m."""
-    bones = _bones(domain, graph, partition)
-    preview(body, bones["skeleton_hot"], bones["skeleton_cold"], folder / "preview.png", width)
-    maps(surface, curvature, body, folder / "maps.png", width // 2)
-
-
-def _bones(domain: Domain, graph: Graph, partition: Partition) -> dict[str, TriangleMesh]:
-    """Skeletons and cut edges as tubes, in metres."""
-    return {name: to_metres(domain, mesh) for name, mesh in skeleton_meshes(graph, partition).items()}
 
 
 def patches(body: Body, units: Unit) -> dict[str, Any]:

@@ -151,7 +151,8 @@ def sections_picture(domain: Domain, body: Body, path: Path, count: int = STATIO
     for axis, (station, cut) in zip(axes, cuts, strict=False):
         for name, polygons in cut.outlines.items():
             if polygons:
-                axis.add_artist(PathPatch(_path(polygons), facecolor=COLOURS[name], edgecolor="none"))
+                patch = axis.add_artist(PathPatch(_path(polygons), facecolor=COLOURS[name], edgecolor="none"))
+                patch.set_in_layout(False)  # its long outline lies within the axes
         total = sum(cut.areas.values())
         shares = ", ".join(f"{name} {100 * a / total:.0f} %" for name, a in cut.areas.items()) if total else "nothing"
         axis.set_title(f"{100 * station.share:.0f} % of the way\n{shares}", fontsize=14)

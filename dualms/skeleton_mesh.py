@@ -5,19 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from dualms.cut.partition import Partition
+from dualms.domain import Domain
 from dualms.graph.graph import Graph
 from dualms.grid import Array
+from dualms.surface import to_metres
 from dualms.triangles import TriangleMesh
 
 THICK, THIN = 0.004, 0.001  # radius over the longest side: of skeletons, and of edges that the cut severs
 SIDES = 5
 
 
-def skeleton_meshes(graph: Graph, partition: Partition) -> dict[str, TriangleMesh]:
+def skeleton_meshes(domain: Domain, graph: Graph, partition: Partition) -> dict[str, TriangleMesh]:
     """Bars along the edges, each led through the face that its two cells share.
 
     Parameters
     ----------
+    domain
+        Whose frame the graph is in.
     graph, partition
         Sites, edges, and the side of each site.
 
@@ -25,7 +29,7 @@ def skeleton_meshes(graph: Graph, partition: Partition) -> dict[str, TriangleMes
     -------
     dict
         ``skeleton_hot`` and ``skeleton_cold``, the edges within either side, and ``cut_edges``, those between the
-        sides; unit-cube frame.
+        sides; in metres.
     """
     ends = partition.labels[graph.edges]
     chosen = {
@@ -37,7 +41,7 @@ def skeleton_meshes(graph: Graph, partition: Partition) -> dict[str, TriangleMes
     for name, (edges, radius) in chosen.items():
         a, b = graph.sites[graph.edges[edges]].transpose(1, 0, 2)
         passages = graph.passages[edges]
-        made[name] = bars(np.concatenate([a, passages]), np.concatenate([passages, b]), radius)
+        made[name] = to_metres(domain, bars(np.concatenate([a, passages]), np.concatenate([passages, b]), radius))
     return made
 
 

@@ -91,7 +91,7 @@ def clipped(domain: Domain, sheet: Sheet) -> TriangleMesh:
         If there is none.
     """
     hot = Solid.of(sheet.nearest.mesh)
-    cut, origin = (hot & Solid.of(TriangleMesh(domain.vertices, domain.faces))).faces_by_origin()
+    cut, origin = (hot & Solid.of(domain.boundary)).faces_by_origin()
     part = cut.part(origin == hot.origin)
     if len(part.faces) == 0:
         raise _empty()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dualms.beside import Here
+from dualms.beside import Here, Passed
 from dualms.body.budget import simplified
 from dualms.body.header import LIFT_VOXELS, Header
 from dualms.body.openings import core
@@ -94,29 +94,48 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Room(Passed):
+    """Where a fluid is, reaching beyond the body's outline at its openings; unit-cube frame.
+
+    Parameters
+    ----------
+    mesh
+        Its closed boundary.
+    facing
+        (F,) what its faces are towards: 0 the other fluid, 1 the shell.
+    """
+
+    mesh: TriangleMesh
+    facing: NDArray[np.int64]
+
+    @cached_property
+    def solid(self) -> Solid:
+        """As a body; its first origin is the interface."""
+        return Solid.of_parts(self.mesh, self.facing)
+
+
+@dataclass(frozen=True)
 class Side:
     """What one fluid takes from a body, unit-cube frame.
 
     Parameters
     ----------
-    room, facing
-        Where the fluid is, reaching beyond the body's outline at its openings; and what its faces (F,) are towards: 0
-        the other fluid, 1 the shell.
+    room
+        Where the fluid is.
     part, pockets
         What of it lies in the outline: the part that joins the fluid's ports, and what is left to the solid.
     fluid
         The part, as files will hold it.
     """
 
-    room: TriangleMesh
-    facing: NDArray[np.int64]
+    room: Room
     part: TriangleMesh
     pockets: tuple[TriangleMesh, ...]
     fluid: Fluid
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(Passed):
     """What a body is made from: its sides can be made in different processes, and joined in one.
 
     Parameters
@@ -146,9 +165,6 @@ class Recipe:
     unit_m: float = 1.0
     max_faces: int = MAX_FACES
 
-    def __getstate__(self) -> dict[str, object]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # no solids: they stay in a process
-
     @cached_property
     def outline(self) -> Outline:
         """What bounds the body from outside.
@@ -158,7 +174,7 @@ class Recipe:
         InvalidSpec
             If a header touches what it must not.
         """
-        envelope = Solid.of(TriangleMesh(self.domain.vertices, self.domain.faces))
+        envelope = Solid.of(self.domain.boundary)
         return outline_of(self.domain, self.sheet, envelope, self.shell if self.outside else 0.0, self.headers)
 
     def side(self, sign: int) -> Side:
@@ -174,11 +190,10 @@ class Recipe:
         reach = (self.shell if self.outside else 0.0) + 2 * self.sheet.grid.spacing
         wall = simplified(channel(self.sheet, self.wall, reach, sign), least(self.wall) / 2, self.max_faces // 2)
         made = _room(self.domain, self.sheet, wall, self.shell, sign, self.outside, self.outline)
-        room, origin = made.faces_by_origin()
-        facing = (origin != wall.origin).astype(np.int64)
-        solid = Solid.of_parts(room, facing)
-        part, pockets, fluid = _fluid(self.domain, solid, self.outline, sign, self.shell, self.unit_m)
-        return Side(room, facing, part.mesh(), tuple(pocket.mesh() for pocket in pockets), fluid)
+        mesh, origin = made.faces_by_origin()
+        room = Room(mesh, (origin != wall.origin).astype(np.int64))
+        part, pockets, fluid = _fluid(self.domain, room.solid, self.outline, sign, self.shell, self.unit_m)
+        return Side(room, part.mesh(), tuple(pocket.mesh() for pocket in pockets), fluid)
 
     def join(self, hot: Side, cold: Side, beside: Executor) -> Body:
         """Cut both sides out of the outline; the volume that they have in common is measured beside.
@@ -190,7 +205,7 @@ class Recipe:
         """
         leak = beside.submit(_common, hot.part, cold.part)
         domain, outline = self.domain, self.outline.solid
-        hot_room, cold_room = (Solid.of_parts(side.room, side.facing) for side in (hot, cold))
+        hot_room, cold_room = hot.room.solid, cold.room.solid
         # Subtract what reaches beyond the outline, not what was cut by it: no two faces coincide.
         block = outline - hot_room - cold_room
         for pocket in (*hot.pockets, *cold.pockets):

@@ -75,7 +75,7 @@ def core(
             _open(domain, port, free, sheet, shell, outside, index in piped)
     opened = Solid.of(level_set(free, grid)).simplified(TOLERANCE_VOXELS * grid.spacing)
     # A body of its own for each fluid, so that faces tell which fluid they were cut for.
-    return Solid.of(TriangleMesh(domain.vertices, domain.faces)) | opened if outside else opened
+    return Solid.of(domain.boundary) | opened if outside else opened
 
 
 def _open(domain: Domain, port: Port, free: Values, sheet: Sheet, shell: float, outside: bool, piped: bool) -> None:
@@ -109,7 +109,7 @@ def _open(domain: Domain, port: Port, free: Values, sheet: Sheet, shell: float, 
 
 def _face_of(domain: Domain, port: Port) -> NDArray[np.bool_]:
     """(F,) the smooth part of the boundary that the port lies on: what turns away by little, from edge to edge."""
-    mesh = TriangleMesh(domain.vertices, domain.faces)
+    mesh = domain.boundary
     normals = mesh.crosses / np.maximum(np.linalg.norm(mesh.crosses, axis=1), 1e-300)[:, None]
     edges = np.sort(np.concatenate([domain.faces[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
     _, inverse = np.unique(edges, axis=0, return_inverse=True)

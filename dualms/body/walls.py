@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from dualms.body.offset import offset_surface
-from dualms.body.thickness import GradedWall, Wall, thickness_at
+from dualms.body.thickness import GradedWall, Wall, least, thickness_at
 from dualms.booleans import Solid
 from dualms.domain import Domain
 from dualms.errors import WallTooThick
@@ -20,10 +20,11 @@ from dualms.surface import Sheet, extract_sheet, level_set
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
-SAG = 0.025  # of half the thickness: how far the middle of an edge may lie off
+FLAT = 0.06  # of half the thickness: triangles of marching cubes that lie so near to a common plane are merged
+SAG = 0.025  # of half the thickness: how far the middle of an edge may lie off then
 BAND_VOXELS = 1.1  # of exact distance beyond half the wall: an edge that crosses its surface ends within one
 THICKEST = 0.12  # unit-cube units; thicker is not tried for a wall given by its share
-SHARE_RESOLUTION = 64  # and its double: a share's two grids
+SHARE_RESOLUTION = 48  # and its double: a share's two grids
 
 
 def graded_wall(spec: WallSpec, units: Unit, domain: Domain) -> GradedWall | None:
@@ -128,7 +129,8 @@ def channel(sheet: Sheet, wall: Wall, reach: float, sign: int) -> Solid:
             advice="Make the wall thinner or use fewer sites.",
             measured={"wall_over_longest_side": float(2 * np.max(half))},
         )
-    return Solid.of(offset_surface(side, sheet, lambda p: thickness_at(wall, p) / 2, SAG, reach))
+    level = Solid.of(side).simplified(FLAT * least(wall) / 2).mesh()
+    return Solid.of(offset_surface(level, sheet, lambda p: thickness_at(wall, p) / 2, SAG, reach))
 
 
 def half_on_grid(sheet: Sheet, wall: Wall) -> float | Values:
