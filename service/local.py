@@ -180,7 +180,7 @@ def listen(host: str, port: int) -> socket.socket:
     """
     try:
         info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(info[0], info[1])
+        listener = socket.socket(*info[:3])  # with its protocol: asyncio sends small writes at once on TCP only
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(info[4])
         listener.listen(1024)
