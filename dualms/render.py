@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 SAMPLES_PER_PIXEL = 4
-FILTER_PIXELS = 0.7  # standard deviation of the filter between samples: as little grain as nine samples at 0.5
+FILTER_PIXELS = 0.7  # standard deviation of the filter between samples: about as little grain as nine at 0.5
 FIELD_OF_VIEW = 26.0  # degrees, of the picture's smaller side
 FILLED = 0.96  # of the picture
 

@@ -2,7 +2,8 @@
 
 Marching cubes takes the distance as linear between voxels. Where a wall is thinner than a voxel, the sag of its edges
 then is a tenth of its thickness. So vertices are moved to the true distance, and edges that sag are split until they
-follow. Where a move would fold the mesh it is taken back: the mesh of marching cubes itself does not cross itself.
+follow. Where a move would fold the mesh it is taken back: a level set does not cross itself, but for a few triangles at
+creases that merging may leave, outside the envelope as a rule; what is left of them is found when the body is written.
 """
 
 from __future__ import annotations
