@@ -34,8 +34,8 @@ from worker.records import Records
 from worker.settings import Settings
 from worker.views import FINAL
 
-# Turns of each part, on average; what does not run, or not yet, is passed over. Most of the time no step runs, so its turn
-# comes often: many steps end, many go on later.
+# Turns of each part, on average; what does not run, or not yet, is passed over. Most of the time no step runs, so its
+# turn comes often: many steps end, many go on later.
 WEIGHTS = {"api": 2.2, "worker": 0.35, "step": 2.0, "broker": 3.0, "all": 0.03}
 YOUNG = 0.2  # how often a part may be killed that was killed before and is not back yet
 MOST_BROKER = 0.55  # of all kills
