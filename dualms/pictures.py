@@ -49,7 +49,7 @@ def preview(body: Body, hot_bones: TriangleMesh, cold_bones: TriangleMesh, path:
     views = (
         ("Cut open: hot side red, cold side blue", _cut_open(solid), whole, None),
         ("Skeletons", bones, small, facing),
-        ("Hot and cold fluid", [*((sides[s], c) for s, c in SIDES if s), *_openings(body)], small, facing),
+        ("Hot and cold fluid", [*((sides[s], c) for s, c in SIDES if s), *openings(body)], small, facing),
         ("The printed body", [(sides[s], c) for s, c in SIDES], small, facing),
     )
     pictures = []
@@ -70,8 +70,8 @@ def _sides(solid: Solid, of: Solid) -> tuple[TriangleMesh, NDArray[np.int64]]:
     return mesh, np.where(np.abs(side) > 1, 2, side)
 
 
-def _openings(body: Body) -> list[tuple[TriangleMesh, Colour]]:
-    """The rest of the fluids' boundaries: where they meet no face of the solid."""
+def openings(body: Body) -> list[tuple[TriangleMesh, Colour]]:
+    """What the hot and the cold fluid's boundary has beside the solid's faces on its side."""
     inner = WALL if body.shell_m else INTERFACE
     return [(fluid.mesh.part(fluid.patch > inner), colour) for fluid, colour in ((body.hot, HOT), (body.cold, COLD))]
 
